@@ -1,0 +1,1 @@
+"""Boresight finds, removes and proves the systematic errors of radars."""
