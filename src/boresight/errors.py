@@ -31,7 +31,13 @@ class InputError(BoresightError, ValueError):
     """A file or table cannot be used.  `path`, byte `offset` and `record` number are None where they do not apply."""
 
     def __init__(
-        self, message: str, *, path: str | Path | None = None, offset: int | None = None, record: int | None = None, remedy: str = ""
+        self,
+        message: str,
+        *,
+        path: str | Path | None = None,
+        offset: int | None = None,
+        record: int | None = None,
+        remedy: str = "",
     ) -> None:
         place = "" if path is None else f"{path}: "
         if offset is not None:

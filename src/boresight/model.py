@@ -377,12 +377,12 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return None if self.height_msl_m is None else self.height_msl_m + (self.geoid_m or 0.0)
 
 
-class Sensors(msgspec.Struct, frozen=True):
+class Sensors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The sensors of `sensors.toml`, in its order."""
 
     sensor: tuple[Sensor, ...]
 
-    def __iter__(self) -> Iterator[Sensor]:  # type: ignore[override]
+    def __iter__(self) -> Iterator[Sensor]:
         return iter(self.sensor)
 
     def __len__(self) -> int:
@@ -406,15 +406,11 @@ def load_sensors(path: str | Path) -> Sensors:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SettingsError(f"is not TOML: {error}", where=str(path), remedy="Each sensor is a table headed [[sensor]].") from error
     try:
-        sensors = msgspec.convert(data, _SensorsFile).sensor
+        sensors = msgspec.convert(data, Sensors)
     except msgspec.ValidationError as error:
         raise SettingsError(str(error), where=str(path), remedy=f"Known keys: {', '.join(Sensor.__struct_fields__)}.") from error
-    check_sensors(Sensors(sensors), where=str(path))
-    return Sensors(sensors)
-
-
-class _SensorsFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    sensor: tuple[Sensor, ...]
+    check_sensors(sensors, where=str(path))
+    return sensors
 
 
 def check_sensors(sensors: Sensors, where: str = "sensors") -> None:
