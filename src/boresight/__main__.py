@@ -1,0 +1,5 @@
+"""``python -m boresight``."""
+
+from .cli import main
+
+main()

@@ -1,0 +1,72 @@
+"""``boresight calibrate``: from recordings to a radar's errors."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from ._options import Date, Editions, Files, Json, date_of, editions_of, print_json, steps
+
+
+def calibrate(
+    plots: Files,
+    /,
+    *,
+    reference: Files,
+    sensors: Path,
+    out: Path | None = None,
+    model: Annotated[str, Parameter(name="--model")] = "auto",
+    date: Date = None,
+    edition: Editions | None = None,
+    json: Json = False,
+) -> None:
+    """Find the systematic errors of the radars in PLOTS against a trusted reference.
+
+    Prints the table of errors. With --out, writes calibration.json, residuals.parquet and report.html there; an earlier result
+    in that folder is kept beside it.
+
+    Parameters
+    ----------
+    plots
+        Recordings of the radars to calibrate.
+    reference
+        Recordings of targets whose positions are trusted: ADS-B, multilateration.
+    sensors
+        sensors.toml: where each radar stands, and what is known of it.
+    out
+        Folder for the results.
+    model
+        auto (by kind of sensor), constant, atc, surface, or a comma-separated list of error terms.
+    date
+        UTC date of the first record, as 2016-05-10.
+    edition
+        Edition of an ASTERIX category, as 021=0.23.
+    json
+        Print the result as JSON.
+    """
+    from .. import flow
+    from ..calibration import summary_json
+    from ..model import load_sensors
+
+    with steps(quiet=json) as step:
+        run = flow.calibrate(
+            plots,
+            reference,
+            load_sensors(sensors),
+            model=model,
+            date=date_of(date),
+            editions=editions_of(edition),
+            out=out,
+            progress=step,
+        )
+    if json:
+        print_json(summary_json(run.calibration))
+        return
+    print(run.calibration)
+    for warning in run.calibration.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    if out is not None:
+        print(f"\nReport: {out / 'report.html'}")

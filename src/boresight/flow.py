@@ -1,0 +1,280 @@
+"""The batch run: the steps in their order, from files to a report.
+
+    read -> align -> associate -> register -> correct -> assess -> report
+
+Nothing is computed here; each step is the public verb of its own module.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from . import __version__
+from .errors import InputError, NothingToDo
+from .model import Fixes, Plots, Recording, Sensors, Source, load_sensors
+
+if TYPE_CHECKING:
+    from .assess.residuals import Residuals
+    from .associate import Association
+    from .calibration import Calibration, Input
+
+Progress = Callable[[str], None]
+
+
+def _silent(_: str) -> None:
+    pass
+
+
+@dataclass(frozen=True, slots=True)
+class TruthRow:
+    """One term of a simulated sensor: its true and its found value and the reported sd, in `unit` (NaN: not determined)."""
+
+    term: str
+    true: float
+    found: float
+    sd: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What one run found; `truth` is filled where the scene was simulated."""
+
+    calibration: Calibration
+    association: Association
+    residuals: Residuals
+    truth: Mapping[str, tuple[TruthRow, ...]] = field(default_factory=dict)
+
+
+def calibrate(
+    plots: Sequence[str | Path],
+    reference: Sequence[str | Path],
+    sensors: Sensors,
+    *,
+    model: str | Sequence[str] = "auto",
+    date: datetime.date | None = None,
+    editions: Mapping[int, str] | None = None,
+    out: str | Path | None = None,
+    truth: Mapping[str, Mapping[str, float]] | None = None,
+    title: str = "",
+    progress: Progress = _silent,
+) -> Run:
+    """Find the systematic errors of the radars in `plots` against the positions in `reference`.
+
+    With `out` (a folder), writes calibration.json, residuals.parquet and report.html there, each whole or not at all; files of
+    those names that were there are moved to ``earlier-1``, ``earlier-2`` …  `truth` holds the true values of a simulated scene:
+    sensor name -> term -> value in the term's unit.
+
+    Raises InputError for files that cannot be used, SettingsError for sensors or terms that make no sense, NothingToDo where the
+    recordings do not overlap or nothing in them can be paired.
+    """
+    from .align import apply_time_offsets, locate, overlap
+    from .assess.residuals import residuals
+    from .associate import search
+    from .register import register
+
+    if not plots or not reference:
+        raise InputError("at least one recording of plots and one of reference positions are needed")
+    warnings: list[str] = []
+    radar = _read_all(plots, editions, date, warnings, progress)
+    trusted = _read_all(reference, editions, date, warnings, progress)
+    measured = _with_known_sensor(Plots.concat([r.plots for r in radar]), sensors, radar, warnings)
+    fixes = Fixes.concat([r.fixes for r in trusted])
+    if not len(fixes):
+        raise NothingToDo(
+            f"no record of {_names(trusted)} holds a position", remedy="--reference needs ADS-B or multilateration reports."
+        )
+    progress("aligning the reference")
+    sources: tuple[Source, ...] = tuple(s for r in trusted for s in r.sources)
+    measured, fixes = apply_time_offsets(measured, sensors), apply_time_offsets(fixes, sensors)
+    fixes, said = locate(fixes, sensors, sources)
+    warnings += said
+    check = overlap(measured, fixes)
+    warnings += [check.message] if check.message else []
+    progress("associating plots and targets")
+    association = search(measured, fixes, sensors)
+    warnings += association.warnings
+    progress("estimating the errors")
+    found = register(association.pairs, sensors, model=model)
+    found = replace(
+        found,
+        inputs=tuple(_input(path) for path in [*plots, *reference]),
+        warnings=tuple(dict.fromkeys([*warnings, *found.warnings])),
+        version=__version__,
+    )
+    left = residuals(association.pairs, sensors, found)
+    run = Run(found, association, left, _truth_rows(found, truth or {}))
+    if out is not None:
+        progress("writing the report")
+        write_results(run, sensors, Path(out), title=title)
+    return run
+
+
+def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> None:
+    """Write calibration.json, residuals.parquet and report.html into the folder `out`, keeping what was there."""
+    from .calibration import save
+    from .report import write_report
+    from .write.tables import write_table
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"is no folder that can be written to ({error.strerror})", path=out) from error
+    _keep_earlier(out, ("calibration.json", "residuals.parquet", "report.html"))
+    save(run.calibration, out / "calibration.json")
+    write_table(out / "residuals.parquet", run.residuals)
+    write_report(
+        out / "report.html",
+        run.calibration,
+        run.residuals,
+        sensors,
+        title=title or "Radar calibration",
+        truth={name: {row.term: row.true for row in rows} for name, rows in run.truth.items()},
+        association=run.association,
+    )
+
+
+def correct_files(
+    plots: Sequence[str | Path],
+    calibration: str | Path,
+    out: str | Path,
+    *,
+    sensors: str | Path | None = None,
+    date: datetime.date | None = None,
+    editions: Mapping[int, str] | None = None,
+    progress: Progress = _silent,
+) -> tuple[int, tuple[str, ...]]:
+    """Correct the plots of recordings and write them as a table; returns the number of rows and the warnings."""
+    from .calibration import load
+    from .correct import correct
+    from .write.tables import write_table
+
+    warnings: list[str] = []
+    found = load(calibration)
+    recordings = _read_all(plots, editions, date, warnings, progress)
+    progress("correcting")
+    table = Plots.concat([r.plots for r in recordings])
+    if not len(table):
+        raise NothingToDo(f"no record of {_names(recordings)} holds a measured polar position")
+    known = load_sensors(sensors) if sensors is not None else None
+    clean, said = correct(table, found, sensors=known)
+    progress("writing")
+    write_table(out, clean)
+    return len(clean), tuple([*warnings, *said])
+
+
+def demo(out: str | Path, *, seed: int = 1, progress: Progress = _silent) -> Run:
+    """Simulate two radars with known errors, write real ASTERIX, calibrate from those files, and set found against true."""
+    from .simulate.demo import write_demo
+
+    progress("simulating two radars and 30 aircraft")
+    files = write_demo(out, seed)
+    return calibrate(
+        files.plots,
+        files.reference,
+        load_sensors(files.sensors),
+        date=files.date,
+        out=out,
+        truth=files.truth,
+        title="Demonstration: simulated radars with known errors",
+        progress=progress,
+    )
+
+
+def _read_all(
+    paths: Sequence[str | Path],
+    editions: Mapping[int, str] | None,
+    date: datetime.date | None,
+    warnings: list[str],
+    progress: Progress,
+) -> list[Recording]:
+    from .read import read
+
+    recordings = []
+    for path in paths:
+        progress(f"reading {path}")
+        recording = read(path, editions=dict(editions or {}), date=date)
+        warnings += [f"{path}: {text}" if str(path) not in text else text for text in recording.warnings]
+        if recording.damaged:
+            first = recording.damaged[0]
+            warnings.append(
+                f"{path}: {len(recording.damaged)} damaged places were left out; the first at byte {first.offset}: {first.why}"
+            )
+        recordings.append(recording)
+    return recordings
+
+
+def _with_known_sensor(plots: Plots, sensors: Sensors, recordings: Sequence[Recording], warnings: list[str]) -> Plots:
+    """The plots whose sensor stands in sensors.toml; the others are counted in a warning."""
+    import numpy as np
+
+    if not len(plots):
+        raise NothingToDo(
+            f"no record of {_names(recordings)} holds a measured polar position",
+            remedy="PLOTS come first, then --reference: are they exchanged?",
+        )
+    ids, counts = np.unique(plots.sensor, return_counts=True)
+    known = np.array([sensors.find(int(key)) is not None for key in ids])
+    listed = ", ".join(f"{key >> 8}/{key & 255} ({n:,} plots)" for key, n in zip(ids[~known], counts[~known], strict=True))
+    if not known.any():
+        raise NothingToDo(
+            f"sensors.toml has no entry for any radar in {_names(recordings)}: SAC/SIC {listed}",
+            remedy="Add a [[sensor]] with its sac, sic, lat_deg, lon_deg and height_m.",
+        )
+    if not known.all():
+        warnings.append(f"sensors.toml has no entry for SAC/SIC {listed}: left out")
+        return plots[np.isin(plots.sensor, ids[known])]
+    return plots
+
+
+def _names(recordings: Sequence[Recording]) -> str:
+    return ", ".join(r.path for r in recordings)
+
+
+def _input(path: str | Path) -> Input:
+    from .calibration import Input
+
+    digest = hashlib.sha256()
+    size = 0
+    with Path(path).open("rb") as file:
+        while chunk := file.read(1 << 20):
+            digest.update(chunk)
+            size += len(chunk)
+    return Input(path=str(path), sha256=digest.hexdigest(), bytes=size)
+
+
+def _truth_rows(found: Calibration, truth: Mapping[str, Mapping[str, float]]) -> dict[str, tuple[TruthRow, ...]]:
+    """True and found values of every simulated term, in the terms' units."""
+    from .terms import TERMS
+
+    names = {s.sensor: s.name for s in found.sensors}
+    rows: dict[str, tuple[TruthRow, ...]] = {}
+    for sensor, terms in truth.items():
+        filled = []
+        for term, true in terms.items():
+            value = sd = float("nan")
+            for k, key in enumerate(found.terms):
+                if names[key.sensor] == sensor and key.name == term:
+                    scale = TERMS[term].si_per_unit
+                    value, sd = float(found.value[0, k] / scale), float(found.sd[0, k] / scale)
+            filled.append(TruthRow(term, true, value, sd, TERMS[term].unit))
+        rows[sensor] = tuple(filled)
+    return rows
+
+
+def _keep_earlier(folder: Path, names: Sequence[str]) -> None:
+    """Move files of these names into the first free ``earlier-N``, so that no result is ever lost."""
+    there = [folder / name for name in names if (folder / name).exists()]
+    if there:
+        number = 1
+        while (folder / f"earlier-{number}").exists():
+            number += 1
+        kept = folder / f"earlier-{number}"
+        kept.mkdir()
+        for path in there:
+            path.rename(kept / path.name)
