@@ -1,0 +1,1071 @@
+"""ASTERIX: raw data blocks to columns.
+
+`decode` does no input or output: bytes and a state go in, tables and the next state come out, for files and datagrams alike.
+`read_asterix` folds it over a file.  One kernel walks the field specifications (FSPEC) of all records with the tables of `uap` and
+notes where each item lies; a second one takes bits from there into columns.
+
+What is damaged costs itself only: a record that does not add up is skipped and said, with its offset and the reason, and reading
+goes on where blocks fit together again.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._jit import kernel
+from .._types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
+from ..errors import InputError
+from ..model import Channel, Damage, Fixes, Flag, Plots, Recording, Source
+from . import uap
+
+DAY_S = 86400.0
+# Rows of the table of item offsets that are filled at once: 65,535 bytes hold at most 21,845 records, so a block always fits.
+_ROWS = 1 << 16
+# Blocks that are looked at to infer an edition: few enough for a stream to start soon, many enough not to be fooled.
+_SAMPLE = 16
+# Records that follow each other in a sample of a file are this close in time, whatever the file.
+_GAP_S = 3600.0
+
+# How a walk ended.
+_MORE, _FULL, _RECORD, _HEADER, _STRANGE, _PENDING, _CUT = range(7)
+# Why a record does not add up; the kernel returns these times 1,000, plus the number of the FSPEC bit.
+_WHY = {
+    1: "the list of its items (FSPEC) does not end within its block",
+    2: "it claims an item that its category does not have (FSPEC bit {frn})",
+    3: "the item of FSPEC bit {frn} runs over the end of its block",
+    4: "the item of FSPEC bit {frn} has an impossible length",
+    5: "it has no data source identifier (item 010), which every record must have",
+}
+
+# --------------------------------------------------------------------------------------------------------- tables as arrays
+
+
+class Layout(NamedTuple):
+    """The tables of some categories as arrays, for the kernels.
+
+    `cats` (256, 3): the first node of a category (-1: unknown, -2: its edition is not known yet), the number of its FSPEC bits, the bit of
+    its data source identifier.  `nodes` (n, 7): kind, size, step, most, first sub-node, number of sub-nodes, slot.  A slot is a column of
+    the table of item offsets.
+    """
+
+    cats: IntArray
+    nodes: IntArray
+    width: int
+
+
+@cache
+def _slots(category: int, edition: str) -> dict[str, int]:
+    """The slot of each item ("040") and sub-item ("130/RPD")."""
+    items = uap.items_of(category, edition)
+    out = {item.name: n for n, item in enumerate(items) if item is not None}
+    at = len(items)
+    for item in items:
+        if item is not None:
+            for sub in item.subitems:
+                if sub is not None:
+                    out[f"{item.name}/{sub.name}"] = at
+                at += 1
+    return out
+
+
+@cache
+def _layout(editions: tuple[tuple[int, str], ...], pending: tuple[int, ...]) -> Layout:
+    cats = np.full((256, 3), -1, np.int64)
+    rows: list[list[int]] = []
+    width = 1
+    for category, edition in editions:
+        items = uap.items_of(category, edition)
+        base, at = len(rows), len(items)
+        cats[category] = base, len(items), _slots(category, edition)["010"]
+        children: list[list[int]] = []
+        for slot, item in enumerate(items):
+            if item is None:
+                rows.append([uap.UNDEFINED, 0, 0, 0, 0, 0, slot])
+                continue
+            rows.append([item.kind, item.size, item.step, item.most, base + at, len(item.subitems), slot])
+            for sub in item.subitems:
+                children.append([0, 0, 0, 0, 0, 0, at] if sub is None else [sub.kind, sub.size, sub.step, sub.most, 0, 0, at])
+                at += 1
+        rows.extend(children)
+        width = max(width, at)
+    for category in pending:
+        cats[category, 0] = -2
+    return Layout(cats, np.array(rows, np.int64), width)
+
+
+def _layout_of(editions: Mapping[int, str]) -> Layout:
+    """The layout for these editions; other categories have their usual one, or wait for it to be inferred."""
+    known: list[tuple[int, str]] = []
+    pending: list[int] = []
+    for category in uap.categories():
+        if category in editions:
+            known.append((category, editions[category]))
+        elif category in uap.INFERRED:
+            pending.append(category)
+        else:
+            known.append((category, uap.default_edition(category)))
+    return _layout(tuple(known), tuple(pending))
+
+
+# ------------------------------------------------------------------------------------------------------------------ kernels
+
+
+@kernel
+def _after(data: ByteArray, q: int, end: int, kind: int, size: int, step: int, most: int) -> int:
+    """Where an item that begins at `q` ends; -3 where it runs over `end`, -4 where its length is impossible."""
+    if kind == 1:
+        q += size
+    elif kind == 2:
+        q += size
+        more = 0
+        while q <= end and data[q - 1] & 1 and (most == 0 or more < most):
+            q += step
+            more += 1
+    elif kind == 3:
+        if q >= end:
+            return -3
+        q += 1 + size * int(data[q])
+    else:
+        if q >= end:
+            return -3
+        if data[q] == 0:
+            return -4
+        q += int(data[q])
+    return q if q <= end else -3
+
+
+@kernel
+def _record(data: ByteArray, p: int, end: int, cats: IntArray, nodes: IntArray, category: int, row: AnyArray) -> int:
+    """Walk one record that begins at `p`: its items' places go to `row`; returns where it ends, or -(reason * 1000 + bit)."""
+    first, count, identifier = cats[category, 0], cats[category, 1], cats[category, 2]
+    q = p
+    while q < end and data[q] & 1:
+        q += 1
+    if q >= end:
+        return -1000
+    q += 1
+    octets = q - p
+    for octet in range(octets):
+        bits = int(data[p + octet])
+        if bits & 0xFE == 0:
+            continue
+        for k in range(7):
+            if bits & (0x80 >> k) == 0:
+                continue
+            n = octet * 7 + k
+            if n >= count:
+                return -2000 - n - 1
+            node = first + n
+            kind = nodes[node, 0]
+            if kind == 0:
+                return -2000 - n - 1
+            row[n] = q - p
+            if kind == 1:
+                q += nodes[node, 1]
+                if q > end:
+                    return -3000 - n - 1
+            elif kind != 5:
+                q = _after(data, q, end, kind, nodes[node, 1], nodes[node, 2], nodes[node, 3])
+                if q < 0:
+                    return q * 1000 - n - 1
+            else:
+                # A compound item: its own FSPEC, then the sub-items.
+                f = q
+                while q < end and data[q] & 1:
+                    q += 1
+                if q >= end:
+                    return -3000 - n - 1
+                q += 1
+                for sub_octet in range(q - f):
+                    bits2 = int(data[f + sub_octet])
+                    for j in range(7):
+                        if bits2 & (0x80 >> j) == 0:
+                            continue
+                        m = sub_octet * 7 + j
+                        if m >= nodes[node, 5]:
+                            return -4000 - n - 1
+                        child = nodes[node, 4] + m
+                        if nodes[child, 0] == 0:
+                            return -4000 - n - 1
+                        row[nodes[child, 6]] = q - p
+                        q = _after(data, q, end, nodes[child, 0], nodes[child, 1], nodes[child, 2], nodes[child, 3])
+                        if q < 0:
+                            return q * 1000 - n - 1
+    if row[identifier] == 0:
+        return -5000
+    return q
+
+
+@kernel
+def _walk(
+    data: ByteArray, pos: int, final: bool, cats: IntArray, nodes: IntArray,
+    start: IntArray, length: IntArray, category: AnyArray, items: AnyArray, unknown: IntArray,
+) -> tuple[int, int, int, int, int]:  # fmt: skip
+    """Read blocks from `pos` on: fills rows, returns (rows, place of the block where it stopped, how, place of the record, reason)."""
+    size, n, room = len(data), 0, len(start)
+    while True:
+        if size - pos < 3:
+            return n, pos, 0 if pos == size or not final else 6, pos, 0
+        cat = int(data[pos])
+        long = int(data[pos + 1]) << 8 | int(data[pos + 2])
+        if long < 3:
+            return n, pos, 3, pos, long
+        end = pos + long
+        if end > size and not final:
+            return n, pos, 0, pos, 0
+        first = cats[cat, 0]
+        if first == -2:
+            return n, pos, 5, pos, 0
+        if first < 0:
+            # A category without a table is passed over, if what follows looks like a block.
+            if end > size:
+                return n, pos, 4, pos, 0
+            if end < size or not final:
+                if size - end < 3:
+                    return n, pos, 4 if final else 0, pos, 0
+                if not ((cats[int(data[end]), 0] != -1 or int(data[end]) == cat) and (data[end + 1] or data[end + 2] > 3)):
+                    return n, pos, 4, pos, 0
+            unknown[cat] += 1
+            pos = end
+            continue
+        before = n
+        p = pos + 3
+        stop = min(end, size)
+        while p < stop:
+            if n == room:
+                # No more room: the whole block waits for the next call.
+                items[before:n] = 0
+                return before, pos, 1, pos, 0
+            q = _record(data, p, stop, cats, nodes, cat, items[n])
+            if q < 0:
+                items[n] = 0
+                return n, pos, 2, p, -q
+            start[n], length[n], category[n] = p, q - p, cat
+            n += 1
+            p = q
+        if end > size:
+            return n, pos, 6, p, 0
+        pos = end
+
+
+@kernel
+def _strict(data: ByteArray, p: int, final: bool, cats: IntArray, nodes: IntArray, row: AnyArray) -> int:
+    """Where a faultless block that begins at `p` ends; 0 where there is none, -1 where more data are needed to know."""
+    size = len(data)
+    if size - p < 3:
+        return 0 if final else -1
+    cat = int(data[p])
+    end = p + (int(data[p + 1]) << 8 | int(data[p + 2]))
+    if cats[cat, 0] < 0 or end < p + 5:
+        return 0
+    if end > size:
+        return 0 if final else -1
+    q = p + 3
+    while q < end:
+        row[:] = 0
+        q = _record(data, q, end, cats, nodes, cat, row)
+        if q < 0:
+            return 0
+    return end
+
+
+@kernel
+def _plausible(data: ByteArray, p: int, final: bool, cats: IntArray) -> int:
+    """1 where a block may begin at `p` (or the data end there), 0 where not, -1 where more data are needed to know."""
+    size = len(data)
+    if p == size and final:
+        return 1
+    if size - p < 3:
+        return 0 if final else -1
+    return 1 if cats[int(data[p]), 0] >= 0 and (data[p + 1] > 0 or data[p + 2] > 3) else 0
+
+
+@kernel
+def _resume(data: ByteArray, place: int, end: int, final: bool, cats: IntArray, nodes: IntArray, row: AnyArray) -> int:
+    """Where reading goes on after damage at `place` in a block that claims to end at `end`; -1 where more data are needed to know.
+
+    A chain of faultless blocks that ends where the damaged block claims to end shows that its length was wrong and blocks
+    are hidden in it.  Else its length is believed if a block may begin behind it.  Else the first faultless block is sought.
+    """
+    size = len(data)
+    for p in range(place, min(end, size)):
+        if cats[int(data[p]), 0] < 0:
+            continue
+        q = p
+        while q < end:
+            q = _strict(data, q, final, cats, nodes, row)
+            if q <= 0:
+                break
+        if q == end:
+            return p
+        if q == -1:
+            return -1
+    if place < end <= size:
+        known = _plausible(data, end, final, cats)
+        if known != 0:
+            return end if known == 1 else -1
+    for p in range(place, size):
+        if cats[int(data[p]), 0] < 0:
+            continue
+        q = _strict(data, p, final, cats, nodes, row)
+        if q == -1:
+            return -1
+        if q > 0:
+            known = _plausible(data, q, final, cats)
+            if known == -1:
+                return -1
+            if known == 1:
+                return p
+    return size if final else max(place, size - 2)
+
+
+@kernel
+def _extract(
+    data: ByteArray, start: IntArray, items: AnyArray, rows: IntArray, spec: IntArray, scale: FloatArray, table: IntArray,
+    numbers: FloatArray, codes: IntArray, flags: IntArray,
+) -> None:  # fmt: skip
+    """Bits to columns.  A row of `spec` is one field: slot, byte, bytes, shift, mask, sign bit, first part, step, part, what, out, guard byte, guard mask.
+
+    What: 0 a quantity into `numbers[out]`, 1 a code into `codes[out]`, 2 flags by `table[out]`, 3 the same for a list of codes that FX continues.
+    """
+    for k in range(len(rows)):
+        i = rows[k]
+        for m in range(len(spec)):
+            at = int(items[i, spec[m, 0]])
+            if at == 0:
+                continue
+            at += start[i]
+            what, out = spec[m, 9], spec[m, 10]
+            if what == 3:
+                while True:
+                    flags[k] |= table[out, int(data[at]) >> 1]
+                    if data[at] & 1 == 0:
+                        break
+                    at += 1
+                continue
+            missing = False
+            for j in range(spec[m, 8]):
+                if data[at + spec[m, 6] - 1 + j * spec[m, 7]] & 1 == 0:
+                    missing = True
+            if missing or data[at + spec[m, 11]] & spec[m, 12]:
+                continue
+            value = 0
+            for j in range(at + spec[m, 1], at + spec[m, 1] + spec[m, 2]):
+                value = value << 8 | int(data[j])
+            value = value >> spec[m, 3] & spec[m, 4]
+            if value & spec[m, 5]:
+                value -= spec[m, 5] << 1
+            if what == 0:
+                if np.isnan(numbers[out, k]):
+                    numbers[out, k] = value * scale[m]
+            elif what == 1:
+                if codes[out, k] < 0:
+                    codes[out, k] = value
+            else:
+                flags[k] |= table[out, value & 255]
+
+
+@kernel
+def _unwrap(tod: FloatArray, source: IntArray, last: FloatArray, latest: float, day_s: float, out: FloatArray) -> float:
+    """Times of day (s) to times since 1970: each within half a day of its source's last one, the first within half a day of `latest`."""
+    for i in range(len(tod)):
+        if np.isnan(tod[i]):
+            continue
+        near = last[source[i]]
+        if np.isnan(near):
+            near = latest
+        t = day_s + tod[i]
+        if not np.isnan(near):
+            t = tod[i] + 86400.0 * np.rint((near - tod[i]) / 86400.0)
+        out[i] = last[source[i]] = latest = t
+    return latest
+
+
+@kernel
+def _digest(data: ByteArray, start: IntArray, length: IntArray, out: AnyArray) -> None:
+    """A 64-bit number for the bytes of each record (FNV-1a): equal bytes give equal numbers."""
+    for i in range(len(start)):
+        h = np.uint64(14695981039346656037)
+        for j in range(start[i], start[i] + length[i]):
+            h = (h ^ np.uint64(data[j])) * np.uint64(1099511628211)
+        out[i] = h
+
+
+# ------------------------------------------------------------------------------------------------------------- fields wanted
+
+
+class _Program(NamedTuple):
+    """What `_extract` is to do for one category: the arrays that it takes, and the columns' names in their order."""
+
+    spec: IntArray
+    scale: FloatArray
+    table: IntArray
+    numbers: tuple[str, ...]
+    codes: tuple[str, ...]
+
+
+def _find(category: int, edition: str, text: str) -> tuple[int, uap.Item, uap.Field]:
+    path, _, name = text.partition(".")
+    wanted, _, child = path.partition("/")
+    items = uap.items_of(category, edition)
+    item = next(i for i in items if i is not None and i.name == wanted)
+    if child:
+        item = next(i for i in item.subitems if i is not None and i.name == child)
+    return _slots(category, edition)[path], item, next(f for f in item.fields if f.name == name)
+
+
+def _spec_row(category: int, edition: str, text: str, what: int, out: int) -> tuple[list[int], float]:
+    text, _, guards = text.partition(" unless ")
+    slot, item, bits = _find(category, edition, text.strip())
+    first = bits.bit // 8
+    last = (bits.bit + bits.bits - 1) // 8
+    guard_byte = guard_mask = 0
+    for name in guards.split():
+        guard = _find(category, edition, f"{text.partition('.')[0].strip()}.{name}")[2]
+        guard_byte, guard_mask = guard.bit // 8, guard_mask | 0x80 >> guard.bit % 8
+    row = [
+        slot, first, last - first + 1, (last + 1) * 8 - bits.bit - bits.bits, (1 << bits.bits) - 1,
+        1 << (bits.bits - 1) if bits.signed else 0, item.size, item.step, bits.part, what, out, guard_byte, guard_mask,
+    ]  # fmt: skip
+    return row, bits.lsb * uap.SI[bits.unit]
+
+
+@cache
+def _program(category: int, edition: str, columns: tuple[tuple[str, str], ...], flagged: bool) -> _Program:
+    names = [name for name, _ in columns]
+    numbers = tuple(n for n in names if n not in uap.CODES)
+    codes = [n for n in names if n in uap.CODES]
+    rows: list[list[int]] = []
+    scales: list[float] = []
+    table: list[list[int]] = []
+
+    def add(text: str, what: int, out: int) -> None:
+        row, scale = _spec_row(category, edition, text, what, out)
+        rows.append(row)
+        scales.append(scale)
+
+    for name, text in columns:
+        what, out = (1, codes.index(name)) if name in uap.CODES else (0, numbers.index(name))
+        for choice in text.split(" | "):
+            add(choice, what, out)
+    if flagged:
+        for text, values, flag in uap.FLAGS.get((category, uap.family(category, edition)), ()):
+            chosen = values or range(1, 256)
+            table.append([int(flag) if v in chosen else 0 for v in range(256)])
+            _, item, bits = _find(category, edition, text)
+            listed = item.kind == uap.EXTENDED and len(item.fields) == 1 and bits.bits == 7
+            add(text, 3 if listed else 2, len(table) - 1)
+        channel, _ = uap.CHANNELS[category]
+        if channel:
+            add(channel, 1, len(codes))
+            codes.append("channel")
+    return _Program(
+        np.array(rows, np.int64).reshape(-1, 13), np.array(scales), np.array(table, np.int64).reshape(-1, 256), numbers, tuple(codes)
+    )
+
+
+# ---------------------------------------------------------------------------------------------------------------- the decoder
+
+
+@dataclass(frozen=True, slots=True)
+class DecodeState:
+    """What the next bytes of a stream depend on.
+
+    `day` is the UTC day (since 1970) of the first record; `latest_s` the last time read, and `stamps` the last one of each source
+    (``sac << 8 | sic``): they keep the day across midnight, in both directions.  `editions` are those given or inferred so far.
+    `offset` bytes and `records` records have been read, so that places and numbers are those of the whole stream.
+    """
+
+    day: int = 0
+    latest_s: float = float("nan")
+    stamps: Mapping[int, float] = field(default_factory=dict)
+    editions: Mapping[int, str] = field(default_factory=dict)
+    offset: int = 0
+    records: int = 0
+
+    @classmethod
+    def begin(cls, date: datetime.date | None = None, editions: Mapping[int, str] | None = None) -> DecodeState:
+        """The state before the first byte; `date` is the UTC date of the first record (none: day 0).
+
+        Raises SettingsError for a category or edition that is unknown.
+        """
+        given = dict(editions or {})
+        for category, edition in given.items():
+            uap.table_of(category, edition)
+        return cls(day=0 if date is None else (date - datetime.date(1970, 1, 1)).days, editions=given)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Records:
+    """What some bytes held.  `plots.record` and `fixes.record` are numbers of records in the whole stream.
+
+    One row a record, in the order of the stream: absolute byte `offset`, `length`, `category`, `source` (``sac << 8 | sic``), `time_s`
+    (NaN where the record has none).  `site` has the positions that the stream tells: source, latitude, longitude (rad), height (m).
+    `unknown` counts the blocks of categories that cannot be read.
+    """
+
+    plots: Plots
+    fixes: Fixes
+    offset: IntArray
+    length: IntArray
+    category: AnyArray
+    source: AnyArray
+    time_s: FloatArray
+    digest: AnyArray
+    site: tuple[tuple[int, float, float, float], ...]
+    damaged: tuple[Damage, ...]
+    unknown: Mapping[int, int]
+
+
+def _columns(
+    data: ByteArray, start: IntArray, items: AnyArray, rows: IntArray, category: int, edition: str, columns: dict[str, str], flagged: bool
+) -> tuple[dict[str, Any], IntArray]:
+    program = _program(category, edition, tuple(columns.items()), flagged)
+    n = len(rows)
+    numbers = np.full((len(program.numbers), n), np.nan)
+    codes = np.full((len(program.codes), n), -1, np.int64)
+    flags = np.zeros(n, np.int64)
+    _extract(data, start, items, rows, program.spec, program.scale, program.table, numbers, codes, flags)
+    out: dict[str, Any] = dict(zip(program.numbers, numbers, strict=True)) | dict(zip(program.codes, codes, strict=True))
+    if flagged:
+        lookup = np.array(uap.CHANNELS[category][1], np.int8)
+        channel = out.pop("channel", None)
+        if channel is None:
+            out["channel"] = np.full(n, lookup[0], np.int8)
+        else:
+            out["channel"] = np.where(channel < 0, np.int8(Channel.UNKNOWN), lookup[np.maximum(channel, 0)])
+    for name in ("mode_s",):
+        if name in out:
+            out[name][out[name] == 0] = -1
+    if "callsign" in out:
+        out["callsign"] = _callsigns(out["callsign"])
+    return out, flags
+
+
+def _callsigns(packed: IntArray) -> IntArray:
+    """Trailing zeros (which some senders use to fill up) become blanks; nothing but blanks becomes -1."""
+    if np.any((packed & 63 == 0) & (packed >= 0)):
+        packed = packed.copy()
+        tail = packed >= 0
+        for shift in range(0, 48, 6):
+            tail &= (packed >> shift) & 63 == 0
+            packed[tail] |= 32 << shift
+            if not tail.any():
+                break
+    blank = 0x820820820820
+    return np.where(packed == blank, -1, packed)
+
+
+def _has(items: AnyArray, rows: IntArray, slots: list[int]) -> BoolArray:
+    out: BoolArray = items[rows, slots[0]] != 0
+    for slot in slots[1:]:
+        out = out | (items[rows, slot] != 0)
+    return out
+
+
+def _motion(columns: dict[str, Any]) -> tuple[AnyArray | None, AnyArray | None]:
+    """East and north velocity from the Cartesian columns, where absent from speed and course; the raw columns are taken out."""
+    vx, vy = columns.pop("vx", None), columns.pop("vy", None)
+    speed, course = columns.pop("speed", None), columns.pop("course", None)
+    if speed is not None:
+        east, north = speed * np.sin(course), speed * np.cos(course)
+        if vx is None:
+            return east, north
+        return np.where(np.isnan(vx), east, vx), np.where(np.isnan(vy), north, vy)
+    return vx, vy
+
+
+def _plots(columns: dict[str, Any]) -> dict[str, Any]:
+    """The columns of Plots: heading is the orientation, else the course; speed is that of the track."""
+    vx, vy = columns.pop("vx", None), columns.pop("vy", None)
+    speed, course, pointing = columns.pop("speed"), columns.pop("course"), columns.pop("orientation", None)
+    if vx is not None:
+        speed = np.where(np.isnan(speed), np.hypot(vx, vy), speed)
+        course = np.where(np.isnan(course), np.mod(np.arctan2(vx, vy), 2 * np.pi), course)
+    columns["speed_mps"] = speed
+    columns["heading_rad"] = course if pointing is None else np.where(np.isnan(pointing), course, pointing)
+    return columns
+
+
+def _fixes(columns: dict[str, Any]) -> dict[str, Any]:
+    """The columns of Fixes: velocities, sd and sizes from what the record has."""
+    east, north = _motion(columns)
+    if east is not None:
+        columns["velocity_east_mps"], columns["velocity_north_mps"] = east, north
+    if "orientation" in columns:
+        columns["heading_rad"] = columns.pop("orientation")
+    sd_x, sd_y = columns.pop("sd_x", None), columns.pop("sd_y", None)
+    if sd_x is not None and sd_y is not None:
+        columns["horizontal_sd_m"] = np.sqrt((sd_x**2 + sd_y**2) / 2)
+    if "nacp" in columns:
+        nacp, gva, version, size = (columns.pop(n) for n in ("nacp", "gva", "version", "length_width"))
+        # Version 0 (DO-260) has no NACp: what stands there is made up from the NUC, which is containment, not accuracy.
+        nacp = np.where(version == 0, -1, nacp)
+        columns["horizontal_sd_m"] = np.array([*uap.EPU_M, *[np.nan] * 5])[nacp] / 2.448
+        columns["vertical_sd_m"] = np.array([*uap.GVA_M, np.nan])[np.where(version == 2, gva, -1)] / 1.96
+        columns["length_m"], columns["width_m"] = np.array([*uap.LENGTH_M, np.nan])[size], np.array([*uap.WIDTH_M, np.nan])[size]
+    # A bound on the error of the stamp, taken as evenly spread.
+    bound = columns.pop("time_bound", None)
+    if bound is not None:
+        columns["time_sd_s"] = bound / np.sqrt(3)
+    return columns
+
+
+def _times(
+    data: ByteArray, start: IntArray, items: AnyArray, rows: IntArray, category: int, edition: str
+) -> tuple[FloatArray, AnyArray]:
+    """Times of day (s) of records (NaN: none, or beyond a day), and which of the category's time items (0, 1 …) it was."""
+    choices = uap.TIMES[category, uap.family(category, edition)]
+    wanted = {f"t{k}": text for k, (text, _) in enumerate(choices)}
+    wanted |= {f"{part}{k}": f"{fine}.{name}" for k, (_, fine) in enumerate(choices) if fine
+               for part, name in (("fsi", "FSI"), ("fine", "TOMRP"))}  # fmt: skip
+    columns, _ = _columns(data, start, items, rows, category, edition, wanted, False)
+    tod = np.full(len(rows), np.nan)
+    which = np.full(len(rows), -1, np.int8)
+    for k, (_, fine) in enumerate(choices):
+        value = columns[f"t{k}"]
+        if fine:
+            # FSI tells whether the whole second is that of the coarse item, the next or the one before.
+            second = np.floor(value) + np.array([0.0, 1.0, -1.0, np.nan])[np.nan_to_num(columns[f"fsi{k}"]).astype(np.int64)]
+            precise = np.mod(second + columns[f"fine{k}"], DAY_S)
+            value = np.where(np.isnan(precise), value, precise)
+        use = np.isnan(tod) & (value < DAY_S)
+        tod[use], which[use] = value[use], k
+    return tod, which
+
+
+def _score(data: ByteArray, places: list[int], category: int, edition: str) -> float:
+    """How well an edition fits the blocks at `places`: the share of blocks that add up, times that of plausible records."""
+    layout = _layout_of({category: edition})
+    found: list[IntArray] = []
+    kept: list[AnyArray] = []
+    whole = 0
+    for place in places:
+        block = data[place : place + (int(data[place + 1]) << 8 | int(data[place + 2]))]
+        room = len(block) // 3 + 1
+        start, length, cats = np.zeros(room, np.int64), np.zeros(room, np.int64), np.zeros(room, np.uint8)
+        items, unknown = np.zeros((room, _width()), np.uint16), np.zeros(256, np.int64)
+        n, _, how, _, _ = _walk(block, 0, True, layout.cats, layout.nodes, start, length, cats, items, unknown)
+        if how == _MORE and n:
+            whole += 1
+            found.append(start[:n] + place)
+            kept.append(items[:n])
+    if not found:
+        return 0.0
+    begin, items = np.concatenate(found), np.concatenate(kept)
+    rows = np.arange(len(begin))
+    position = uap.FIXES[category, uap.family(category, edition)].columns
+    wanted = {name: position[name] for name in ("latitude_rad", "longitude_rad")}
+    columns, _ = _columns(data, begin, items, rows, category, edition, wanted, False)
+    tod, _ = _times(data, begin, items, rows, category, edition)
+    good = np.isnan(columns["latitude_rad"]) | (np.abs(columns["latitude_rad"]) <= np.pi / 2)
+    good &= np.isnan(columns["longitude_rad"]) | (np.abs(columns["longitude_rad"]) <= np.pi)
+    # Neighbours in a stream are stamped within minutes of each other; a wrong edition puts them anywhere in 36 hours.
+    apart = np.abs(np.diff(tod, prepend=tod[:1]))
+    good &= np.isfinite(apart) & (np.minimum(apart, DAY_S - apart) < _GAP_S)
+    return whole / len(places) * float(np.mean(good))
+
+
+def _infer(data: ByteArray, places: list[int], category: int) -> tuple[str, float]:
+    """The edition that fits the blocks at `places` best, and how well (0 … 1)."""
+    scores = {edition: _score(data, places, category, edition) for edition in uap.INFERRED[category]}
+    best = max(scores, key=lambda edition: scores[edition])
+    return best, scores[best]
+
+
+def _blocks(data: ByteArray, pos: int, category: int, most: int) -> tuple[list[int], bool]:
+    """The places of the first `most` whole blocks of a category from `pos` on, and whether the data ended before."""
+    out: list[int] = []
+    while len(out) < most:
+        if len(data) - pos < 3:
+            return out, True
+        long = int(data[pos + 1]) << 8 | int(data[pos + 2])
+        if long < 3:
+            return out, False
+        if pos + long > len(data):
+            return out, True
+        if data[pos] == category:
+            out.append(pos)
+        pos += long
+    return out, False
+
+
+def decode(
+    data: bytes | bytearray | memoryview | ByteArray, state: DecodeState, receive_s: float | None = None, *, final: bool = False
+) -> tuple[Records, DecodeState, int]:
+    """Decode ASTERIX data blocks: (records, next state, number of bytes consumed).
+
+    What is not consumed is the beginning of a block that is not complete yet (or whose meaning depends on what follows): give it again, with
+    more behind it.  However a stream is cut, the records, the damage and the last state are the same.  `final` says that nothing follows:
+    then everything is consumed, and what is incomplete is damage.  A datagram is final.  `receive_s` (UTC seconds) is when the
+    data were received: it tells the day; without it, times follow on from the state.
+    """
+    buffer = np.ascontiguousarray(data, np.uint8) if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8)
+    parts: list[Records] = []
+    consumed = 0
+    while True:
+        records, state, used, go_on = _decode_some(buffer[consumed:], state, receive_s, final)
+        parts.append(records)
+        consumed += used
+        if not go_on:
+            break
+    return parts[0] if len(parts) == 1 else _join(parts), state, consumed
+
+
+def _join(parts: list[Records]) -> Records:
+    unknown: dict[int, int] = {}
+    for part in parts:
+        for category, count in part.unknown.items():
+            unknown[category] = unknown.get(category, 0) + count
+    return Records(
+        plots=Plots.concat([p.plots for p in parts]),
+        fixes=Fixes.concat([p.fixes for p in parts]),
+        **{n: np.concatenate([getattr(p, n) for p in parts]) for n in ("offset", "length", "category", "source", "time_s", "digest")},
+        site=tuple(dict.fromkeys(s for p in parts for s in p.site)),
+        damaged=tuple(d for p in parts for d in p.damaged),
+        unknown=unknown,
+    )
+
+
+def _decode_some(
+    data: ByteArray, state: DecodeState, receive_s: float | None, final: bool
+) -> tuple[Records, DecodeState, int, bool]:
+    """One table full of `decode`; the last value says whether there is more to do."""
+    editions = dict(state.editions)
+    layout = _layout_of(editions)
+    # Most records are longer than 20 bytes; where they are not, another round follows.  A block always fits.
+    room = min(_ROWS, max(256, len(data) // 3 + 1))
+    start, length = np.empty(room, np.int64), np.empty(room, np.int64)
+    category = np.empty(room, np.uint8)
+    # Wide enough for every edition: one that is inferred on the way changes the layout, not the table.
+    items = np.zeros((room, _width()), np.uint16)
+    unknown = np.zeros(256, np.int64)
+    damaged: list[Damage] = []
+    row = np.zeros(_width(), np.uint16)
+    n = pos = 0
+    go_on = False
+    while True:
+        m, pos, how, place, code = _walk(
+            data, pos, final, layout.cats, layout.nodes, start[n:], length[n:], category[n:], items[n:], unknown
+        )
+        if how == _MORE:
+            n += m
+            break
+        if how == _FULL:
+            n += m
+            go_on = True
+            break
+        if how == _PENDING:
+            n += m
+            which = int(data[pos])
+            places, ended = _blocks(data, pos, which, _SAMPLE)
+            if ended and not final:
+                break
+            best, score = _infer(data, places, which) if places else ("", 0.0)
+            if score >= 0.5:
+                editions[which] = best
+                layout = _layout_of(editions)
+                continue
+            why, end = f"the block fits no known edition of category {which:03d}", pos + (int(data[pos + 1]) << 8 | int(data[pos + 2]))
+            place = pos
+        elif how == _CUT:
+            long = int(data[pos + 1]) << 8 | int(data[pos + 2]) if len(data) - pos >= 3 else 3
+            why, end = f"the data end here, {pos + long - len(data)} bytes before the end of the block that began at byte {state.offset + pos}", len(data)
+        elif how == _HEADER:
+            why, end = f"a block cannot be {code} bytes long", pos + 1
+        elif how == _STRANGE:
+            why, end = f"no block begins here (category {int(data[pos])})", pos + 1
+        else:
+            why = _WHY[code // 1000].format(frn=code % 1000)
+            end = pos + (int(data[pos + 1]) << 8 | int(data[pos + 2]))
+        # What lies between the damage and where blocks fit together again is lost.  A record's own place may begin a block: its block's
+        # length may be what is wrong.  A block's own place may not.
+        search = place if how in (_RECORD, _CUT) else place + 1
+        resumed = _resume(data, search, end, final, layout.cats, layout.nodes, row)
+        if resumed < 0:
+            # More data are needed to know: the block waits as a whole.
+            whole = int(np.count_nonzero(start[n : n + m] < pos)) if how in (_RECORD, _CUT) else m
+            items[n + whole : n + m] = 0
+            n += whole
+            break
+        n += m
+        if resumed > min(end, len(data)) or how in (_HEADER, _STRANGE):
+            why += f"; {resumed - place} bytes are skipped"
+        elif how == _RECORD and resumed > place:
+            why += f"; the rest of its block ({resumed - place} bytes) is skipped"
+        damaged.append(Damage(state.offset + place, why))
+        pos = resumed
+        if final and pos >= len(data):
+            pos = len(data)
+            break
+        if not final and len(data) - pos < 3:
+            break
+        if room - n < _ROWS // 3 and room == _ROWS:
+            go_on = True
+            break
+    records, state = _assemble(data, state, receive_s, editions, start[:n], length[:n], category[:n], items[:n])
+    records = replace(records, damaged=tuple(damaged), unknown={int(c): int(unknown[c]) for c in np.flatnonzero(unknown)})
+    return records, replace(state, offset=state.offset + pos), pos, go_on
+
+
+@cache
+def _width() -> int:
+    return max(_layout(((c, e),), ()).width for c in uap.categories() for e in uap.editions_of(c))
+
+
+def _assemble(
+    data: ByteArray, state: DecodeState, receive_s: float | None, editions: dict[int, str],
+    start: IntArray, length: IntArray, category: AnyArray, items: AnyArray,
+) -> tuple[Records, DecodeState]:  # fmt: skip
+    """The walked records as tables, and the state behind them (but for its offset)."""
+    n = len(start)
+    source = np.zeros(n, np.int32)
+    tod = np.full(n, np.nan)
+    which = np.full(n, -1, np.int8)
+    groups: list[tuple[int, str, IntArray]] = []
+    for cat in np.unique(category).tolist():
+        edition = editions.get(cat) or uap.default_edition(cat)
+        rows = np.flatnonzero(category == cat)
+        groups.append((cat, edition, rows))
+        at = start[rows] + items[rows, _slots(cat, edition)["010"]]
+        source[rows] = data[at].astype(np.int32) << 8 | data[at + 1]
+        tod[rows], which[rows] = _times(data, start, items, rows, cat, edition)
+    # Days.
+    ids, index = np.unique(source, return_inverse=True)
+    last = np.array([state.stamps.get(int(s), np.nan) for s in ids])
+    time_s = np.full(n, np.nan)
+    if receive_s is None:
+        latest = float(_unwrap(tod, index.astype(np.int64), last, state.latest_s, state.day * DAY_S, time_s))
+    else:
+        time_s = tod + DAY_S * np.rint((receive_s - tod) / DAY_S)
+        latest = state.latest_s
+        timed = np.flatnonzero(np.isfinite(time_s))
+        if len(timed):
+            latest = float(time_s[timed[-1]])
+            last[index[timed]] = time_s[timed]
+    stamps = dict(state.stamps) | {int(s): float(t) for s, t in zip(ids, last, strict=True) if np.isfinite(t)}
+    # Tables.
+    plots: list[Plots] = []
+    fixes: list[Fixes] = []
+    site: dict[tuple[int, float, float, float], None] = {}
+    for cat, edition, rows in groups:
+        slots = _slots(cat, edition)
+        if cat in uap.PLOTS:
+            needs, wanted = uap.PLOTS[cat]
+            mine = rows[_has(items, rows, [slots[i] for i in needs])]
+            columns, flags = _columns(data, start, items, mine, cat, edition, wanted, True)
+            plots.append(
+                Plots(time_s=time_s[mine], sensor=source[mine], flags=flags, record=mine + state.records, **_plots(columns))
+            )
+        if (cat, uap.family(cat, edition)) in uap.FIXES:
+            needs, wanted = uap.FIXES[cat, uap.family(cat, edition)]
+            mine = rows[_has(items, rows, [slots[i] for i in needs])]
+            columns, flags = _columns(data, start, items, mine, cat, edition, wanted, True)
+            columns = _fixes(columns)
+            if cat == 21:
+                # Only an explicit time of applicability is that of the position; a reception is a little later, a transmission by far.
+                names = [text for text, _ in uap.TIMES[cat, uap.family(cat, edition)]]
+                reception, transmission = (np.array([text == t for text in names] + [False])[which[mine]] for t in ("073.073", "077.077"))
+                flags = flags | np.where(reception, int(Flag.TIME_OF_RECEPTION), 0)
+                if transmission.any():
+                    columns["time_sd_s"] = np.where(transmission, 0.5, columns.get("time_sd_s", np.nan))
+            fixes.append(
+                Fixes(time_s=time_s[mine], source=source[mine], flags=flags, record=mine + state.records, **columns)
+            )
+        if cat in uap.SITES:
+            texts = uap.SITES[cat]
+            mine = rows[_has(items, rows, [slots[texts[0].partition(".")[0]]])]
+            if len(mine):
+                columns, _ = _columns(data, start, items, mine, cat, edition, dict(zip(("lat", "lon", "up"), texts, strict=True)), False)
+                told = np.column_stack([source[mine].astype(np.float64), columns["lat"], columns["lon"], columns["up"]])
+                for s, *place in np.unique(told, axis=0).tolist():
+                    site[int(s), place[0], place[1], place[2]] = None
+    digest = np.empty(n, np.uint64)
+    _digest(data, start, length, digest)
+    records = Records(
+        plots=_ordered(Plots, plots), fixes=_ordered(Fixes, fixes), offset=start + state.offset, length=length.copy(),
+        category=category.copy(), source=source, time_s=time_s, digest=digest, site=tuple(site), damaged=(), unknown={},
+    )  # fmt: skip
+    return records, replace(state, latest_s=latest, stamps=stamps, editions=editions, records=state.records + n)
+
+
+def _ordered(kind: Any, parts: list[Any]) -> Any:
+    """The parts as one table in the order of the records."""
+    parts = [p for p in parts if len(p)]
+    if len(parts) == 1:
+        return parts[0]
+    table = kind.concat(parts)
+    return table.take(np.argsort(table.record, kind="stable")) if len(parts) > 1 else table
+
+
+# ------------------------------------------------------------------------------------------------------------------- files
+
+
+def read_asterix(path: str | Path, *, editions: Mapping[int, str] | None = None, date: datetime.date | None = None) -> Recording:
+    """Read a file of ASTERIX data blocks.
+
+    `editions` names the edition of a category (``{21: "0.23"}``); where it is not given it is inferred, and said in the warnings.
+    `date` is the UTC date of the file's first record; without it the first day is day 0 (1970-01-01), and that is said.  Duplicated
+    records and records out of order are kept and counted in the warnings.  Raises InputError where nothing at all could be read, and where
+    the records do not fit the edition (with the one that they fit), SettingsError for an unknown edition.
+    """
+    data = _bytes_of(path)
+    given = dict(editions or {})
+    state = DecodeState.begin(date, given)
+    _check_editions(path, data, given)
+    records, state, _ = decode(data, state, final=True)
+    if not len(records.offset):
+        raise _nothing(path, data, records)
+    warnings: list[str] = []
+    if date is None:
+        warnings.append("no date was given: times count from 1970-01-01 as the day of the first record (--date gives its UTC date)")
+    for category, edition in state.editions.items():
+        if category not in given:
+            warnings.append(f"category {category:03d} was read as edition {edition}, inferred from the records (--edition {category:03d}=… sets it)")
+    _check_positions(path, data, records, state.editions)
+    warnings += _remarks(records)
+    return Recording(
+        path=str(path),
+        plots=records.plots,
+        fixes=records.fixes,
+        sources=_sources(records, state.editions),
+        damaged=records.damaged,
+        warnings=tuple(warnings),
+        by_category={int(c): int(np.count_nonzero(records.category == c)) for c in np.unique(records.category)},
+        offset=records.offset,
+    )
+
+
+def _bytes_of(path: str | Path) -> ByteArray:
+    try:
+        data = np.fromfile(path, np.uint8)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(f"cannot be read ({reason})", path=path, remedy="Check the file's name and that you may read it.") from error
+    if not len(data):
+        raise InputError("the file is empty", path=path, remedy="Give a recording of ASTERIX data blocks.")
+    return data
+
+
+def _nothing(path: str | Path, data: ByteArray, records: Records) -> InputError:
+    """Why no record at all could be read."""
+    known = ", ".join(f"{c:03d}" for c in uap.categories())
+    head = data[:4096]
+    printable = np.count_nonzero((head >= 32) & (head < 127) | (head == 9) | (head == 10) | (head == 13))
+    if printable >= 0.95 * len(head):
+        start = bytes(head[:40]).decode("ascii", "replace").splitlines()[0]
+        return InputError(f"this is text ({start!r} …), not ASTERIX", path=path, offset=0, remedy="Give a recording of ASTERIX data blocks.")
+    if not head.any():
+        return InputError("the file holds zeros, not ASTERIX", path=path, offset=0, remedy="Give a recording of ASTERIX data blocks.")
+    if records.unknown and not records.damaged:
+        found = ", ".join(f"{c:03d}" for c in records.unknown)
+        return InputError(f"holds only ASTERIX categories that cannot be read ({found})", path=path, remedy=f"Categories that can: {known}.")
+    first = records.damaged[0] if records.damaged else Damage(0, "no block is complete")
+    return InputError(
+        f"no ASTERIX record could be read: {first.why}", path=path, offset=first.offset,
+        remedy=f"A recording is raw data blocks (category, length, records) of the categories {known}; was it cut, or is it another format?",
+    )  # fmt: skip
+
+
+def _spread(data: ByteArray, category: int, most: int = 256) -> list[int]:
+    """Places of up to `most` whole blocks of a category, spread over the data."""
+    places, _ = _blocks(data, 0, category, len(data))
+    return places if len(places) <= most else [places[k] for k in np.linspace(0, len(places) - 1, most).astype(int)]
+
+
+def _check_editions(path: str | Path, data: ByteArray, given: Mapping[int, str]) -> None:
+    """Raise InputError where the records fit another edition clearly better than the one that was given."""
+    for category, edition in given.items():
+        if category not in uap.INFERRED:
+            continue
+        places = _spread(data, category)
+        if not places:
+            continue
+        best, score = _infer(data, places, category)
+        if score >= 0.5 and _score(data, places, category, edition) < 0.5 * score:
+            raise _other_edition(path, category, edition, best, "their lengths, positions or times do not make sense")
+
+
+def _check_positions(path: str | Path, data: ByteArray, records: Records, editions: Mapping[int, str]) -> None:
+    """Raise InputError where more than one position in a hundred is impossible: the edition must be another one."""
+    for category, edition in editions.items():
+        if category not in uap.INFERRED:
+            continue
+        mine = records.fixes[records.category[records.fixes.record] == category]
+        known = np.isfinite(mine.latitude_rad)
+        wrong = np.count_nonzero((np.abs(mine.latitude_rad) > np.pi / 2) | (np.abs(mine.longitude_rad) > np.pi))
+        if wrong > 0.01 * max(1, np.count_nonzero(known)):
+            best, _ = _infer(data, _spread(data, category), category)
+            raise _other_edition(path, category, edition, best, f"{wrong} of {len(mine)} positions are not on Earth")
+
+
+def _other_edition(path: str | Path, category: int, edition: str, best: str, what: str) -> InputError:
+    name = f"{category:03d}"
+    if uap.table_of(category, edition) == uap.table_of(category, best):
+        return InputError(f"the records of category {name} fit no known edition ({edition} the best): {what}", path=path,
+                          remedy="Is the file damaged, or of an edition that is not known?")  # fmt: skip
+    return InputError(
+        f"the records of category {name} are not of edition {edition} ({what}); they fit edition {best}", path=path,
+        remedy=f"Give --edition {name}={best}, or none to have it inferred.",
+    )  # fmt: skip
+
+
+def _remarks(records: Records) -> list[str]:
+    """What a reader should know of records that were kept: categories passed over, duplicates, disorder, stamps."""
+    out = [f"{count} blocks of category {category:03d} were passed over: it cannot be read" for category, count in records.unknown.items()]
+    order = np.sort(records.digest)
+    duplicates = int(np.count_nonzero(order[1:] == order[:-1]))
+    if duplicates:
+        out.append(f"{duplicates} records are byte for byte the same as another one; they were kept")
+    untimed = int(np.count_nonzero(np.isnan(records.time_s)))
+    if untimed:
+        out.append(f"{untimed} records have no time of day, or one beyond 24 hours: their time is not known")
+    for source in np.unique(records.source).tolist():
+        times = records.time_s[records.source == source]
+        times = times[np.isfinite(times)]
+        back = -np.diff(times)
+        if np.any(back > 0):
+            out.append(
+                f"{np.count_nonzero(back > 0)} records of SAC/SIC {source >> 8}/{source & 255} are stamped before the record ahead of them "
+                f"(by up to {back.max():.3f} s); they were kept in the order of the file"
+            )
+    late = int(np.count_nonzero(records.fixes.time_sd_s == 0.5))
+    if late:
+        out.append(
+            f"{late} ADS-B reports tell only when they were transmitted by the station (I021/077), not when the position was valid: "
+            "their time is taken as 0.5 s (sd) uncertain"
+        )
+    return out
+
+
+def _sources(records: Records, editions: Mapping[int, str]) -> tuple[Source, ...]:
+    """Who sent what: one a SAC/SIC and category, in that order."""
+    key = records.source.astype(np.int64) << 8 | records.category
+    places = {s: (lat, lon, up) for s, lat, lon, up in records.site}
+    plot_key = key[records.plots.record]
+    both = [(records.plots.mode_s, records.plots.track, plot_key), (records.fixes.mode_s, records.fixes.track, key[records.fixes.record])]
+    out: list[Source] = []
+    for k in np.unique(key).tolist():
+        source, category = k >> 8, k & 255
+        mine = key == k
+        times = records.time_s[mine]
+        times = times[np.isfinite(times)]
+        mode_s, track = (np.concatenate([t[n][t[2] == k] for t in both]) for n in (0, 1))
+        known = mode_s[mode_s >= 0] if np.any(mode_s >= 0) else track[track >= 0]
+        lat, lon, up = places.get(source, (float("nan"),) * 3)
+        out.append(
+            Source(
+                sac=source >> 8, sic=source & 255, category=category, edition=editions.get(category) or uap.default_edition(category),
+                records=int(np.count_nonzero(mine)), plots=int(np.count_nonzero(plot_key == k)),
+                start_s=float(times.min()) if len(times) else float("nan"), end_s=float(times.max()) if len(times) else float("nan"),
+                targets=len(np.unique(known)), latitude_rad=lat, longitude_rad=lon, height_m=up,
+            )  # fmt: skip
+        )
+    return tuple(out)
