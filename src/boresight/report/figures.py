@@ -1,0 +1,879 @@
+"""The report's figures: residuals before and after correction, as SVG to stand inside a page.
+
+Every function draws one figure from residuals of one sensor and returns a `Drawing`, or None where there is nothing to draw (no
+axis is ever empty).  Numbers are computed from all pairs; the points behind them are a fixed random choice of at most
+`MAX_POINTS`, drawn as pixels, so that a page stays small.  The same residuals give the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from .._types import AnyArray, BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ..assess.residuals import Residuals
+    from ..calibration import Calibration
+
+MAX_POINTS = 5000
+WIDTH_IN = 10.5
+DEG = np.pi / 180.0
+
+# Orange and blue stay apart for every kind of colour blindness; the dark shades carry lines, the light ones points.
+BEFORE, BEFORE_LIGHT = "#bf4f00", "#ef8e3b"
+AFTER, AFTER_LIGHT = "#0b559f", "#4a98d9"
+INK, QUIET, RULE = "#1c2126", "#6b737c", "#d9dde1"
+_NORMAL_SD_PER_MAD = 1.4826
+_BARE = re.compile(r"<metadata>.*?</metadata>\s*", re.DOTALL)
+_FONT = re.compile(r"'DejaVu Sans'(?:, [^;\"]*)?(?=[;\"])")
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """One figure: its name (an anchor), the SVG element, a caption, and what a reader who cannot see it is told."""
+
+    name: str
+    svg: str
+    caption: str
+    alt: str
+
+
+class Quantity(NamedTuple):
+    """One residual channel before and after correction, in the unit that the axis shows."""
+
+    name: str
+    unit: str
+    before: FloatArray
+    after: FloatArray
+
+    @property
+    def label(self) -> str:
+        """Axis label: what was measured minus the reference."""
+        return f"{self.name} error ({self.unit})"
+
+
+def quantities(r: Residuals) -> tuple[Quantity, ...]:
+    """Range (m), azimuth (degrees) and, where the radar measures it, elevation (degrees)."""
+    found = [
+        Quantity("range", "m", r.range_before_m, r.range_after_m),
+        Quantity("azimuth", "°", r.azimuth_before_rad / DEG, r.azimuth_after_rad / DEG),
+    ]
+    if np.isfinite(r.elevation_before_rad).any():
+        found.append(Quantity("elevation", "°", r.elevation_before_rad / DEG, r.elevation_after_rad / DEG))
+    return tuple(found)
+
+
+def robust_sd(values: FloatArray) -> float:
+    """1.4826 times the median absolute deviation: one sigma where the errors are normal; NaN for fewer than two values."""
+    known = values[np.isfinite(values)]
+    return float(_NORMAL_SD_PER_MAD * np.median(np.abs(known - np.median(known)))) if len(known) > 1 else float("nan")
+
+
+class Bins(NamedTuple):
+    """Medians with the band that holds the middle 68 % of each bin's values; bins of too few values are left out."""
+
+    centre: FloatArray
+    median: FloatArray
+    low: FloatArray
+    high: FloatArray
+    number: IntArray
+
+
+def binned(x: FloatArray, y: FloatArray, edges: FloatArray, least: int = 8) -> Bins:
+    """Medians and 16 % and 84 % points of `y` over bins of `x`; `centre` is the median `x` of a bin."""
+    known = np.isfinite(x) & np.isfinite(y)
+    x, y = x[known], y[known]
+    which = np.clip(np.searchsorted(edges, x, "right") - 1, 0, len(edges) - 2)
+    order = np.argsort(which, kind="stable")
+    bounds = np.searchsorted(which[order], np.arange(len(edges)))
+    rows = []
+    for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
+        if stop - start >= least:
+            part = order[start:stop]
+            low, middle, high = np.percentile(y[part], (16, 50, 84))
+            rows.append((np.median(x[part]), middle, low, high, stop - start))
+    table = np.array(rows, np.float64).reshape(-1, 5)
+    return Bins(table[:, 0], table[:, 1], table[:, 2], table[:, 3], table[:, 4].astype(np.int64))
+
+
+def _edges(x: FloatArray, bins: int) -> FloatArray:
+    """Bin edges that hold about equally many values, so that thin ends of an axis do not get wild medians."""
+    known = x[np.isfinite(x)]
+    bins = max(1, min(bins, len(known) // 24))
+    edges: FloatArray = np.unique(np.quantile(known, np.linspace(0, 1, bins + 1)))
+    return edges if len(edges) > 1 else np.array([edges[0] - 0.5, edges[0] + 0.5])
+
+
+def azimuth_edges(n: int) -> FloatArray:
+    """Bins of 10° around the compass, or 30° where plots are few (degrees)."""
+    edges: FloatArray = np.arange(0.0, 361.0, 10.0 if n >= 1000 else 30.0)
+    return edges
+
+
+# ---------------------------------------------------------------------------------------------------------------- drawing
+
+
+@contextmanager
+def _style(name: str) -> Iterator[None]:
+    import matplotlib
+
+    settings: dict[str, Any] = {
+        "svg.fonttype": "none",
+        "svg.hashsalt": name,
+        "font.family": ["DejaVu Sans"],
+        "font.size": 8.0,
+        "axes.titlesize": 8.5,
+        "axes.titleweight": "bold",
+        "axes.titlelocation": "left",
+        "axes.titlepad": 5.0,
+        "axes.labelsize": 8.0,
+        "axes.labelcolor": INK,
+        "axes.edgecolor": "#9aa2aa",
+        "axes.linewidth": 0.7,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "axes.unicode_minus": True,
+        "axes.formatter.useoffset": False,
+        "grid.color": "#e8ebee",
+        "grid.linewidth": 0.6,
+        "text.color": INK,
+        "xtick.color": QUIET,
+        "ytick.color": QUIET,
+        "xtick.labelsize": 7.5,
+        "ytick.labelsize": 7.5,
+        "xtick.major.size": 3.0,
+        "ytick.major.size": 3.0,
+        "xtick.major.width": 0.7,
+        "ytick.major.width": 0.7,
+        "legend.frameon": False,
+        "legend.fontsize": 7.5,
+        "legend.handlelength": 1.6,
+        "lines.solid_capstyle": "round",
+        "image.composite_image": True,
+    }
+    with matplotlib.rc_context(settings):  # type: ignore[arg-type]
+        yield
+
+
+def _panels(
+    rows: int, columns: int, height_in: float, *, left: float = 0.72, right: float = 0.12, top: float = 0.5, bottom: float = 0.5,
+    gap: tuple[float, float] = (0.62, 0.45), widths: Sequence[float] | None = None,
+) -> tuple[Figure, list[list[Axes]]]:  # fmt: skip
+    """A figure of the page's width with a grid of axes, all margins in inches."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH_IN, height_in), facecolor="white")
+    share = np.asarray(widths if widths is not None else [1.0] * columns, np.float64)
+    free = WIDTH_IN - left - right - gap[0] * (columns - 1)
+    wide = free * share / share.sum()
+    high = (height_in - top - bottom - gap[1] * (rows - 1)) / rows
+    axes = []
+    for i in range(rows):
+        x, row = left, []
+        for j in range(columns):
+            y = height_in - top - (i + 1) * high - i * gap[1]
+            row.append(figure.add_axes((x / WIDTH_IN, y / height_in, wide[j] / WIDTH_IN, high / height_in)))
+            x += wide[j] + gap[0]
+        axes.append(row)
+    return figure, axes
+
+
+def _svg(figure: Figure, name: str) -> str:
+    """The figure as an SVG element whose ids begin with `name`, so that many can stand in one page."""
+    out = io.StringIO()
+    figure.savefig(out, format="svg", dpi=170, metadata={"Date": None, "Creator": None})
+    text = _BARE.sub("", out.getvalue())
+    text = text[text.index("<svg") :]
+    text = re.sub(r'\bid="', f'id="{name}-', text)
+    text = re.sub(r'href="#', f'href="#{name}-', text)
+    text = text.replace("url(#", f"url(#{name}-")
+    # The page's own typeface is narrower than the one that laid the figure out: nothing can overlap.
+    text = _FONT.sub("sans-serif", text)
+    return re.sub(r'(<svg[^>]*?) width="[^"]*pt"', r"\1", re.sub(r'(<svg[^>]*?) height="[^"]*pt"', r"\1", text, count=1), count=1)
+
+
+def _some(n: int, most: int = MAX_POINTS) -> IntArray:
+    """At most `most` of `n` rows, spread over all of them; always the same ones."""
+    if n <= most:
+        return np.arange(n)
+    return np.sort(np.random.default_rng(20160510).choice(n, most, replace=False))
+
+
+def _points(axes: Axes, x: FloatArray, y: FloatArray, colour: str, *, size: float = 2.2, alpha: float | None = None) -> None:
+    axes.plot(
+        x, y, linestyle="none", marker="o", markersize=size, markeredgewidth=0, color=colour,
+        alpha=alpha if alpha is not None else float(np.clip(60 / np.sqrt(max(len(x), 1)), 0.18, 0.8)), rasterized=len(x) > 400, zorder=2,
+    )  # fmt: skip
+
+
+def _limits(*values: FloatArray, share: float = 0.4) -> tuple[float, float]:
+    """Limits that hold all but `share` percent of the values at each end, and zero."""
+    known = np.concatenate([v[np.isfinite(v)] for v in values])
+    if not len(known):
+        return -1.0, 1.0
+    low, high = np.percentile(known, (share, 100 - share)) if len(known) > 200 else (known.min(), known.max())
+    low, high = min(float(low), 0.0), max(float(high), 0.0)
+    margin = 0.06 * (high - low) or 1.0
+    return low - margin, high + margin
+
+
+def _outside(limits: tuple[float, float], *values: FloatArray) -> int:
+    return int(sum(np.count_nonzero((v < limits[0]) | (v > limits[1])) for v in values))
+
+
+def _time_axis(axes: Axes, time_s: FloatArray) -> str:
+    """Ticks at round times of day; returns the label."""
+    from datetime import UTC, datetime
+
+    from matplotlib.ticker import FixedLocator, FuncFormatter
+
+    first, last = float(np.nanmin(time_s)), float(np.nanmax(time_s))
+    span = max(last - first, 1.0)
+    step = next(
+        (s for s in (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 10800, 21600, 43200) if span / s <= 5), 86400
+    )
+    step = step if span / step <= 8 else int(np.ceil(span / 5 / 86400)) * 86400
+    ticks = np.arange(np.ceil(first / step), np.floor(last / step) + 1) * step
+    shape = "%H:%M:%S" if step < 60 else "%H:%M" if step < 86400 else "%d %b"
+
+    def say(value: float, _: object) -> str:
+        return datetime.fromtimestamp(value, UTC).strftime(shape)
+
+    if not len(ticks):
+        ticks = np.array([first])
+        shape = "%H:%M:%S"
+    axes.xaxis.set_major_locator(FixedLocator(ticks.tolist()))
+    axes.xaxis.set_major_formatter(FuncFormatter(say))
+    margin = 0.03 * span
+    axes.set_xlim(first - margin, last + margin)
+    day, end = datetime.fromtimestamp(first, UTC), datetime.fromtimestamp(last, UTC)
+    if first < 86400:
+        return "time of day (UTC)"
+    return f"time (UTC, {day:%Y-%m-%d})" if day.date() == end.date() else f"time (UTC, {day:%Y-%m-%d} to {end:%m-%d})"
+
+
+def _legend(figure: Figure, entries: Sequence[tuple[Any, str]], *, y_in: float = 0.08) -> None:
+    """One line of legend along the figure's top edge."""
+    figure.legend(
+        [handle for handle, _ in entries], [text for _, text in entries], loc="upper left", ncols=len(entries),
+        bbox_to_anchor=(0.06, 1 - y_in / figure.get_figheight()), borderaxespad=0, columnspacing=1.8, handletextpad=0.6,
+    )  # fmt: skip
+
+
+def _dot(colour: str) -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], linestyle="none", marker="o", markersize=4, markeredgewidth=0, color=colour)
+
+
+def _line(colour: str, width: float = 1.6, style: Any = "-") -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=colour, linewidth=width, linestyle=style)
+
+
+def _count(n: int) -> str:
+    return f"{n:,}".replace(",", "\u2009")
+
+
+def _sampled(n: int) -> str:
+    return (
+        f" The points are a random choice of {_count(MAX_POINTS)} of the {_count(n)} plots; medians use all."
+        if n > MAX_POINTS
+        else ""
+    )
+
+
+# ------------------------------------------------------------------------------------------------------------------- maps
+
+
+def ground(r: Residuals) -> tuple[FloatArray, FloatArray]:
+    """East and north (m) of the reference at each plot's stamp, about the radar, in the plane of its horizon."""
+    flat = r.reference_range_m * np.cos(r.reference_elevation_rad)
+    return flat * np.sin(r.reference_azimuth_rad), flat * np.cos(r.reference_azimuth_rad)
+
+
+def _paths(r: Residuals, rows: BoolArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The reference's tracks as one line with gaps (NaN) between tracks and where plots are missing for long."""
+    index = np.flatnonzero(rows)
+    order = index[np.lexsort((r.time_s[index], r.track[index], r.target[index]))]
+    keep = max(1, int(np.ceil(len(order) / 20000)))
+    track, target, time = r.track[order], r.target[order], r.time_s[order]
+    new = np.r_[False, (np.diff(track) != 0) | (np.diff(target) != 0)]
+    steps = np.diff(time, prepend=time[:1] if len(time) else 0.0)
+    usual = np.median(steps[~new & (steps > 0)]) if (~new & (steps > 0)).any() else 1.0
+    new |= steps > 12 * usual
+    number = np.cumsum(new)
+    chosen = np.zeros(len(order), np.bool_)
+    chosen[::keep] = True
+    chosen |= new | np.r_[new[1:], True]
+    order, number = order[chosen], number[chosen]
+    cut = np.flatnonzero(np.diff(number)) + 1
+    return np.insert(x[order], cut, np.nan), np.insert(y[order], cut, np.nan)
+
+
+def _round_number(value: float) -> float:
+    """The nearest 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(np.log(m * power / value))) * power)
+
+
+def map_figure(r: Residuals, name: str) -> Drawing | None:
+    """Reference tracks about the radar, with the typical error of each map cell as a magnified arrow, before and after."""
+    from matplotlib.patches import Rectangle
+
+    x, y = ground(r)
+    good = np.isfinite(x) & np.isfinite(r.east_before_m) & np.isfinite(r.east_after_m)
+    if not good.any():
+        return None
+    n = int(good.sum())
+    x_lim, y_lim = (np.percentile(v[good], (0.1, 99.9)) for v in (x, y))
+    low = np.array([min(x_lim[0], 0.0), min(y_lim[0], 0.0)])
+    high = np.array([max(x_lim[1], 0.0), max(y_lim[1], 0.0)])
+    size = float(max(*(high - low), 100.0))
+    centre = (low + high) / 2
+    extent = np.maximum(high - low, 0.45 * size) + 0.08 * size
+    low, high = centre - extent / 2, centre + extent / 2
+
+    cells = 24
+    cell = size / cells
+    column, row = np.floor((x[good] - low[0]) / cell).astype(np.int64), np.floor((y[good] - low[1]) / cell).astype(np.int64)
+    code = row * 1000 + column
+    order = np.argsort(code, kind="stable")
+    _, start, number = np.unique(code[order], return_index=True, return_counts=True)
+    least = 3 if n > 300 else 1
+    arrows = []
+    columns = [v[good][order] for v in (x, y, r.east_before_m, r.north_before_m, r.east_after_m, r.north_after_m)]
+    for s, k in zip(start, number, strict=True):
+        if k >= least:
+            arrows.append([np.median(c[s : s + k]) for c in columns])
+    arrow = np.array(arrows, np.float64).reshape(-1, 6)
+    if not len(arrow):
+        return None
+    length = np.hypot(arrow[:, 2], arrow[:, 3])
+    typical = max(float(np.percentile(length, 75)), 1e-3)
+    magnify = _round_number(1.5 * cell / typical)
+    if magnify < 2:
+        magnify = 1.0
+
+    per_in = extent[0] / ((WIDTH_IN - 0.72 - 0.12 - 0.62) / 2)
+    height = float(np.clip(extent[1] / per_in, 2.2, 6.5))
+    if extent[1] / per_in > height:  # tall areas: keep the scale equal on both axes by widening the map
+        extent[0] *= extent[1] / per_in / height
+        low[0], high[0] = centre[0] - extent[0] / 2, centre[0] + extent[0] / 2
+    with _style(name):
+        figure, ((left, right),) = _panels(1, 2, height + 0.95, top=0.5, bottom=0.45)
+        line_x, line_y = _paths(r, good, x, y)
+        key = _round_number(typical)
+        for axes, title, colour, east, north in (
+            (left, "Before correction", BEFORE, arrow[:, 2], arrow[:, 3]),
+            (right, "After correction", AFTER, arrow[:, 4], arrow[:, 5]),
+        ):
+            axes.plot(line_x / 1e3, line_y / 1e3, color="#b9bfc6", linewidth=0.6, rasterized=len(line_x) > 1500, zorder=1)
+            axes.quiver(
+                arrow[:, 0] / 1e3, arrow[:, 1] / 1e3, east / 1e3 * magnify, north / 1e3 * magnify, color=colour, angles="xy",
+                scale_units="xy", scale=1.0, width=0.0028, headwidth=3.6, headlength=4.2, headaxislength=3.8, minlength=0.6, zorder=3,
+            )  # fmt: skip
+            axes.plot(
+                [0],
+                [0],
+                marker="^",
+                markersize=7,
+                color=INK,
+                markeredgecolor="white",
+                markeredgewidth=0.8,
+                zorder=5,
+                linestyle="none",
+            )
+            axes.set_xlim(low[0] / 1e3, high[0] / 1e3)
+            axes.set_ylim(low[1] / 1e3, high[1] / 1e3)
+            axes.set_aspect("equal", adjustable="box")
+            axes.set_title(title, color=colour)
+            axes.set_xlabel("east of the radar (km)")
+            end = (low[0] + 0.04 * extent[0]) / 1e3, (high[1] - 0.05 * extent[1]) / 1e3
+            long = key * magnify / 1e3
+            axes.add_patch(
+                Rectangle(
+                    (end[0] - 0.02 * extent[0] / 1e3, end[1] - 0.035 * extent[1] / 1e3), max(long, 0.0) + 0.2 * extent[0] / 1e3,
+                    0.07 * extent[1] / 1e3, facecolor="white", edgecolor="none", alpha=0.85, zorder=3.5,
+                )
+            )  # fmt: skip
+            axes.plot([end[0], end[0] + long], [end[1], end[1]], color=INK, linewidth=1.6, solid_capstyle="butt", zorder=4)
+            axes.text(end[0] + long + 0.012 * extent[0] / 1e3, end[1], f"error of {key:g} m", va="center", fontsize=7.5, zorder=4)
+        left.set_ylabel("north of the radar (km)")
+        marker = _dot(INK)
+        marker.set_marker("^")
+        marker.set_markersize(6)
+        _legend(
+            figure,
+            [
+                (marker, "radar"),
+                (_line("#b9bfc6", 1.2), "reference tracks"),
+                (_line(BEFORE, 2.0), "typical error before"),
+                (_line(AFTER, 2.0), "typical error after"),
+            ],
+        )
+        svg = _svg(figure, name)
+    scale = f"lengthened {magnify:g} times" if magnify > 1 else "at the map's scale"
+    caption = (
+        f"Where the plots lie against the reference. Each arrow leads from the reference to the median position of the radar's plots in "
+        f"a map cell of {cell / 1e3:.2g} km, {scale}, the same in both panels; cells with fewer than {least} plots have none. "
+        f"What is left after correction should be short and point in no common direction. {_count(n)} plots."
+    )
+    return Drawing(name, svg, caption, "Two maps of error arrows, before and after correction")
+
+
+def zoom_figure(r: Residuals, name: str) -> Drawing | None:
+    """Up to three stretches of track at true scale: reference, raw plots, corrected plots."""
+    x, y = ground(r)
+    good = np.isfinite(x) & np.isfinite(r.east_before_m) & np.isfinite(r.east_after_m)
+    index = np.flatnonzero(good)
+    if len(index) < 3:
+        return None
+    index = index[np.lexsort((r.time_s[index], r.track[index], r.target[index]))]
+    label = np.cumsum(np.r_[True, (np.diff(r.track[index]) != 0) | (np.diff(r.target[index]) != 0)]) - 1
+    groups = np.split(index, np.flatnonzero(np.diff(label)) + 1)
+    typical = float(np.median(r.distance_before_m[index]))
+    steps = np.hypot(np.diff(x[index]), np.diff(y[index]))[np.diff(label) == 0]
+    steps = steps[steps > 1.0]
+    wide = max(7.0 * typical, 9.0 * float(np.median(steps)) if len(steps) else 0.0, 20.0)
+
+    windows = []
+    for rows in groups:
+        if len(rows) < 3:
+            continue
+        best, count = -1, 0
+        for middle in rows[_some(len(rows), 12)]:
+            inside = (np.abs(x[rows] - x[middle]) < 0.42 * wide) & (np.abs(y[rows] - y[middle]) < 0.42 * wide)
+            # Standing targets fill a window without showing anything: count places, not plots.
+            places = len(np.unique(np.round(np.stack((x[rows][inside], y[rows][inside])) / (0.03 * wide)), axis=1).T)
+            if places > count:
+                best, count = int(middle), places
+        windows.append((count, best, rows))
+    windows = [w for w in windows if w[0] >= 3]
+    if not windows:
+        return None
+    far = np.array([r.reference_range_m[w[1]] for w in windows])
+    parts = [p for p in np.array_split(np.argsort(far, kind="stable"), min(3, len(windows))) if len(p)]
+    chosen = [max((windows[k] for k in part), key=lambda w: w[0]) for part in parts]
+
+    with _style(name):
+        high = (WIDTH_IN - 0.72 - 0.12 - 2 * 0.62) / 3
+        figure, (row,) = _panels(1, 3, high + 1.05, top=0.58, bottom=0.47)
+        for spare in row[len(chosen) :]:
+            spare.remove()
+        for axes, (_, middle, rows) in zip(row, chosen, strict=False):
+            near = (np.abs(x[rows] - x[middle]) < 0.75 * wide) & (np.abs(y[rows] - y[middle]) < 0.75 * wide)
+            inside = rows[near][:400]
+            px, py = x[inside] - x[middle], y[inside] - y[middle]
+            axes.plot(*_joined(r, inside, px, py), color="#9aa2aa", linewidth=1.3, zorder=1)
+            axes.plot(px, py, linestyle="none", marker="o", markersize=2.6, color="#6b737c", markeredgewidth=0, zorder=2)
+            for east, north, colour, light, size in (
+                (r.east_before_m, r.north_before_m, BEFORE, BEFORE_LIGHT, 4.4),
+                (r.east_after_m, r.north_after_m, AFTER, AFTER_LIGHT, 4.4),
+            ):
+                qx, qy = px + east[inside], py + north[inside]
+                gap = np.full(len(px), np.nan)
+                axes.plot(
+                    np.stack((px, qx, gap), 1).ravel(), np.stack((py, qy, gap), 1).ravel(), color=light, linewidth=0.6, zorder=2
+                )
+                axes.plot(
+                    qx,
+                    qy,
+                    linestyle="none",
+                    marker="o",
+                    markersize=size,
+                    color=colour,
+                    markeredgecolor="white",
+                    markeredgewidth=0.5,
+                    zorder=3,
+                )
+            axes.set_xlim(-wide / 2, wide / 2)
+            axes.set_ylim(-wide / 2, wide / 2)
+            axes.set_aspect("equal")
+            axes.set_xlabel("east (m)")
+            speed = np.nanmedian(r.reference_speed_mps[inside]) if np.isfinite(r.reference_speed_mps[inside]).any() else np.nan
+            moving = f", {speed:.0f} m/s" if np.isfinite(speed) else ""
+            axes.set_title(f"Target {r.target[middle]}: {_km(r.reference_range_m[middle])} away{moving}")
+        row[0].set_ylabel("north (m)")
+        _legend(
+            figure,
+            [
+                (_dot(QUIET), "reference at the plot's time"),
+                (_line("#9aa2aa", 1.4), "reference track"),
+                (_dot(BEFORE), "plot before correction"),
+                (_dot(AFTER), "plot after correction"),
+            ],
+        )
+        svg = _svg(figure, name)
+    caption = (
+        "The same at true scale: one stretch of track each from the near, the middle and the far plots, chosen where plots are densest. A thin line joins "
+        "every plot to its reference. After correction the plots should lie about the reference on all sides."
+    )
+    return Drawing(name, svg, caption, "Close-ups of tracks with raw and corrected plots")
+
+
+def _km(metres: float) -> str:
+    return f"{metres / 1e3:.0f} km" if metres >= 2e4 else f"{metres / 1e3:.1f} km"
+
+
+def _joined(r: Residuals, rows: IntArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    steps = np.diff(r.time_s[rows])
+    cut = np.flatnonzero(steps > 12 * (np.median(steps) if len(steps) else 1.0)) + 1
+    return np.insert(x, cut, np.nan), np.insert(y, cut, np.nan)
+
+
+# -------------------------------------------------------------------------------------------------------------- residuals
+
+
+def residual_figure(r: Residuals, name: str) -> Drawing | None:
+    """Every measured channel against range, azimuth, time and speed, before and after correction."""
+    if not len(r):
+        return None
+    against = [
+        ("range (km)", r.reference_range_m / 1e3),
+        ("azimuth (°)", r.reference_azimuth_rad / DEG % 360),
+        ("", r.time_s),
+        ("speed (m/s)", r.reference_speed_mps),
+    ]
+    against = [(label, x) for label, x in against if np.isfinite(x).any()]
+    shown = quantities(r)
+    outside = 0
+    with _style(name):
+        figure, grid = _panels(
+            len(shown), len(against), 0.98 + 1.95 * len(shown) + 0.16 * (len(shown) - 1), gap=(0.18, 0.16), top=0.45, bottom=0.48
+        )
+        for i, quantity in enumerate(shown):
+            limits = _limits(quantity.before, quantity.after)
+            outside += _outside(limits, quantity.before, quantity.after)
+            for j, (label, x) in enumerate(against):
+                axes = grid[i][j]
+                some = _some(len(r))
+                for values, light in ((quantity.before, BEFORE_LIGHT), (quantity.after, AFTER_LIGHT)):
+                    _points(axes, x[some], values[some], light, size=1.8)
+                axes.axhline(0, color=INK, linewidth=0.7, zorder=2.5)
+                edges = azimuth_edges(len(r)) if label.startswith("azimuth") else _edges(x, 24)
+                for values, dark in ((quantity.before, BEFORE), (quantity.after, AFTER)):
+                    b = binned(x, values, edges)
+                    axes.fill_between(b.centre, b.low, b.high, color=dark, alpha=0.14, linewidth=0, zorder=3)
+                    axes.plot(b.centre, b.median, color=dark, linewidth=1.5, marker="o", markersize=2.2, zorder=4)
+                axes.set_ylim(*limits)
+                if label:
+                    axes.set_xlim(*_span(x, label))
+                    if label.startswith("azimuth"):
+                        axes.set_xticks(np.arange(0, 361, 90))
+                else:
+                    label = _time_axis(axes, x)
+                if j:
+                    axes.tick_params(labelleft=False)
+                else:
+                    axes.set_ylabel(quantity.label)
+                if i == len(shown) - 1:
+                    axes.set_xlabel(label)
+                else:
+                    axes.tick_params(labelbottom=False)
+        _residual_legend(figure)
+        svg = _svg(figure, name)
+    caption = (
+        "Measured minus reference, before and after correction, against range, azimuth, time and the target's speed. Light points are "
+        "plots, lines are medians of bins, bands hold the middle 68 % of each bin. A line that still slopes or waves after correction is an error "
+        f"that the chosen terms do not describe.{_sampled(len(r))}"
+    )
+    if outside:
+        caption += f" {_count(outside)} values lie outside the axes."
+    return Drawing(name, svg, caption, "Errors against range, azimuth, time and speed")
+
+
+def _residual_legend(figure: Figure) -> None:
+    _legend(
+        figure,
+        [
+            (_dot(BEFORE_LIGHT), "plots before"),
+            (_line(BEFORE), "median before"),
+            (_dot(AFTER_LIGHT), "plots after"),
+            (_line(AFTER), "median after"),
+        ],
+    )
+
+
+def _span(x: FloatArray, label: str) -> tuple[float, float]:
+    known = x[np.isfinite(x)]
+    if label.startswith("azimuth"):
+        return 0.0, 360.0
+    low, high = float(known.min()), float(np.percentile(known, 99.9)) if len(known) > 200 else float(known.max())
+    low = 0.0 if low < 0.4 * high else low
+    margin = 0.03 * (high - low) or 0.5
+    return low - (margin if low else 0.0), high + margin
+
+
+def target_figure(r: Residuals, name: str, labels: dict[int, str]) -> Drawing | None:
+    """Every target's median error in each channel and in horizontal distance, before and after correction."""
+    if not len(r):
+        return None
+    shown = [*quantities(r), Quantity("horizontal", "m", r.distance_before_m, r.distance_after_m)]
+    order = np.argsort(r.target, kind="stable")
+    targets, start = np.unique(r.target[order], return_index=True)
+    groups = np.split(order, start[1:])
+    rank = np.argsort([np.nanmedian(r.distance_before_m[g]) for g in groups], kind="stable")
+    n = len(targets)
+    named = n <= 48
+    at = np.arange(n, dtype=np.float64)
+    with _style(name):
+        bottom = 0.82 if named and n > 1 else 0.5
+        figure, grid = _panels(
+            len(shown), 1, 0.45 + bottom + 1.25 * len(shown) + 0.14 * (len(shown) - 1), gap=(0.0, 0.14), top=0.45, bottom=bottom
+        )
+        for (axes,), quantity in zip(grid, shown, strict=True):
+            ends = []
+            for values, dark, shift in ((quantity.before, BEFORE, -0.16), (quantity.after, AFTER, 0.16)):
+                low, middle, high = np.array([_quartiles(values[groups[k]]) for k in rank]).T
+                ends += [low, high]
+                axes.vlines(
+                    at + shift, low, high, color=dark, alpha=0.4, linewidth=float(np.clip(90 / n, 0.5, 3.0)), rasterized=n > 600
+                )
+                axes.plot(
+                    at + shift, middle, linestyle="none", marker="o", markersize=float(np.clip(120 / n, 1.6, 4.5)), color=dark,
+                    markeredgewidth=0, rasterized=n > 600,
+                )  # fmt: skip
+            axes.axhline(0, color=INK, linewidth=0.7)
+            axes.set_ylabel(quantity.label if quantity.name != "horizontal" else "distance (m)")
+            axes.set_ylim(*_limits(*ends, share=0.2))
+            axes.set_xlim(-0.7, n - 0.3)
+            axes.grid(False, axis="x")
+            axes.set_xticks([])
+            axes.margins(y=0.05)
+        last = grid[-1][0]
+        if named:
+            last.set_xticks(
+                at, [labels.get(int(targets[k]), str(targets[k])) for k in rank], rotation=90 if n > 8 else 0, fontsize=6.5
+            )
+        else:
+            last.set_xticks(
+                np.unique(np.linspace(0, n - 1, 9).astype(int)),
+                [_count(int(v) + 1) for v in np.unique(np.linspace(0, n - 1, 9).astype(int))],
+            )
+        last.set_xlabel("target" if named else "targets in the order of their distance before correction")
+        _legend(figure, [(_dot(BEFORE), "before"), (_dot(AFTER), "after")])
+        svg = _svg(figure, name)
+    caption = (
+        f"Every target by itself, in the order of its raw error ({_count(n)} targets): median (dot) and the middle half (bar) of its plots' errors in each channel, "
+        "and of the horizontal distance between plot and reference. A target that stands apart after correction has an error of its own (transponder, "
+        "reference, association)."
+    )
+    return Drawing(name, svg, caption, "Median errors of each target before and after correction")
+
+
+def _quartiles(values: FloatArray) -> tuple[float, float, float]:
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return np.nan, np.nan, np.nan
+    low, middle, high = np.percentile(known, (25, 50, 75))
+    return float(low), float(middle), float(high)
+
+
+def histogram_figure(r: Residuals, name: str) -> Drawing | None:
+    """Distribution of each channel with the fitted normal, and of the horizontal distance."""
+    from matplotlib.ticker import PercentFormatter
+
+    if len(r) < 3:
+        return None
+    shown = quantities(r)
+    with _style(name):
+        figure, (row,) = _panels(1, len(shown) + 1, 3.5, top=0.45, bottom=0.5, gap=(0.55, 0))
+        for axes, quantity in zip(row, shown, strict=False):
+            limits = _limits(quantity.before, quantity.after)
+            edges = np.linspace(*limits, 61 if len(r) > 500 else 25)
+            middle = (edges[1:] + edges[:-1]) / 2
+            top = 0.0
+            texts = []
+            for values, dark, light, word in (
+                (quantity.before, BEFORE, BEFORE_LIGHT, "before"),
+                (quantity.after, AFTER, AFTER_LIGHT, "after"),
+            ):
+                known = values[np.isfinite(values)]
+                share = np.histogram(known, edges)[0] / max(len(known), 1)
+                axes.stairs(share, edges, fill=True, color=light, alpha=0.45, linewidth=0)
+                axes.stairs(share, edges, color=dark, linewidth=0.8)
+                centre, sd = float(np.median(known)), robust_sd(known)
+                if sd > 0:
+                    fine = np.linspace(*limits, 301)
+                    normal = np.exp(-0.5 * ((fine - centre) / sd) ** 2) / (sd * np.sqrt(2 * np.pi)) * (middle[1] - middle[0])
+                    axes.plot(fine, normal, color=dark, linewidth=1.1, linestyle=(0, (4, 2)))
+                    top = max(top, float(min(normal.max(), 1.6 * share.max())))
+                top = max(top, float(share.max()))
+                digits = 1 if quantity.unit == "m" else 3
+                texts.append((f"{word}: median {centre:.{digits}f}, sd {sd:.{digits}f} {quantity.unit}".replace("-", "−"), dark))
+            axes.axvline(0, color=INK, linewidth=0.7)
+            axes.set_xlim(*limits)
+            axes.set_ylim(0, 1.28 * top)
+            for k, (text, dark) in enumerate(texts):
+                axes.text(0.02, 0.985 - 0.065 * k, text, transform=axes.transAxes, fontsize=7.2, color=dark, va="top")
+            axes.set_xlabel(quantity.label)
+            axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None, symbol=""))
+        row[0].set_ylabel("plots per bin (%)")
+        last = row[-1]
+        most = max(float(np.nanpercentile(v, 99)) for v in (r.distance_before_m, r.distance_after_m))
+        for k, (values, dark, word) in enumerate(((r.distance_before_m, BEFORE, "before"), (r.distance_after_m, AFTER, "after"))):
+            known = np.sort(values[np.isfinite(values)])
+            levels = np.linspace(0, 1, min(len(known), 400))
+            last.plot(np.quantile(known, levels), levels, color=dark, linewidth=1.5)
+            half, most_of = np.quantile(known, (0.5, 0.95))
+            last.plot([half, most_of], [0.5, 0.95], linestyle="none", marker="o", markersize=4, color=dark)
+            last.text(
+                0.97, 0.16 - 0.075 * k, f"{word}: median {half:.1f}, 95 % {most_of:.1f} m", transform=last.transAxes, fontsize=7.2,
+                color=dark, ha="right",
+            )  # fmt: skip
+        last.set_xlim(0, most * 1.03 or 1.0)
+        last.set_ylim(0, 1.02)
+        last.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
+        last.set_xlabel("horizontal distance (m)")
+        last.set_ylabel("plots nearer than this (%)", labelpad=2)
+        _legend(
+            figure,
+            [
+                (_line(BEFORE, 3), "before"),
+                (_line(AFTER, 3), "after"),
+                (_line(QUIET, 1.2, "--"), "normal distribution of the same median and robust sd"),
+            ],
+        )
+        svg = _svg(figure, name)
+    caption = (
+        "How the errors are distributed. sd is the robust standard deviation (1.4826 times the median absolute deviation), and the dashed curve the normal "
+        "distribution that goes with it. Right: the share of plots that lie nearer to the reference than a distance; dots mark the median and 95 %."
+    )
+    return Drawing(name, svg, caption, "Histograms of the errors before and after correction")
+
+
+def curve_figure(r: Residuals, name: str) -> Drawing | None:
+    """The raw error against azimuth and range, with what the model takes away at the same plots."""
+    if len(r) < 24:
+        return None
+    azimuth, distance = r.reference_azimuth_rad / DEG % 360, r.reference_range_m / 1e3
+    panels = [
+        (
+            "azimuth (°)",
+            azimuth,
+            azimuth_edges(len(r)),
+            Quantity("azimuth", "°", r.azimuth_before_rad / DEG, r.azimuth_after_rad / DEG),
+        ),
+        ("range (km)", distance, _edges(distance, 30), Quantity("range", "m", r.range_before_m, r.range_after_m)),
+    ]
+    with _style(name):
+        figure, (row,) = _panels(1, 2, 3.35, top=0.45, bottom=0.48)
+        for axes, (label, x, edges, quantity) in zip(row, panels, strict=True):
+            measured = binned(x, quantity.before, edges)
+            taken = binned(x, quantity.before - quantity.after, edges)
+            if not len(measured.centre):
+                axes.remove()
+                continue
+            error = 1.253 * (measured.high - measured.low) / 2 / np.sqrt(measured.number)
+            axes.axhline(0, color=INK, linewidth=0.7)
+            axes.fill_between(measured.centre, measured.low, measured.high, color=BEFORE_LIGHT, alpha=0.18, linewidth=0)
+            axes.errorbar(
+                measured.centre, measured.median, yerr=2 * error, linestyle="none", marker="o", markersize=3.6, color=BEFORE, elinewidth=1.1,
+                capsize=0,
+            )  # fmt: skip
+            axes.fill_between(taken.centre, taken.low, taken.high, color=AFTER_LIGHT, alpha=0.25, linewidth=0)
+            axes.plot(taken.centre, taken.median, color=AFTER, linewidth=1.8)
+            axes.set_xlim(*_span(x, label))
+            if label.startswith("azimuth"):
+                axes.set_xticks(np.arange(0, 361, 45))
+            axes.set_ylim(*_limits(measured.low, measured.high, taken.low, taken.high))
+            axes.set_xlabel(label)
+            axes.set_ylabel(quantity.label)
+        _legend(
+            figure,
+            [
+                (_dot(BEFORE), "measured − reference, bin median ± 2 standard errors"),
+                (_line(BEFORE_LIGHT, 5), "middle 68 % of the plots"),
+                (_line(AFTER, 2.0), "the model's error for the same plots, with its middle 68 %"),
+            ],
+        )
+        svg = _svg(figure, name)
+    caption = (
+        "The error that was found, and the model laid over it. The line is the median of what the model takes from the very plots of each bin, "
+        "so that it also holds what depends on the target (time offset, extent); where it leaves the points, a term is missing."
+    )
+    return Drawing(name, svg, caption, "Azimuth and range errors with the fitted model")
+
+
+def correlation_figure(found: Calibration, name: str, names: dict[int, str]) -> Drawing | None:
+    """Correlation coefficients between all terms, with numbers."""
+    p = len(found.terms)
+    if p < 2:
+        return None
+    covariance = found.covariance[-1]
+    sd = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    known = sd > 0
+    matrix: AnyArray = np.full((p, p), np.nan)
+    matrix[np.ix_(known, known)] = covariance[np.ix_(known, known)] / np.outer(sd[known], sd[known])
+    several = len({key.sensor for key in found.terms}) > 1
+    labels = [(f"{names.get(k.sensor, k.sensor)}: " if several else "") + term_label(k.name) for k in found.terms]
+    step = float(np.clip(7.0 / p, 0.3, 0.62))
+    left, low = 0.25 + 0.068 * max(map(len, labels)), 0.2
+    from matplotlib.figure import Figure
+
+    high = p * step + low + 0.062 * max(map(len, labels)) + 0.2
+    wide = max(left + p * step + 1.4, WIDTH_IN)
+    with _style(name):
+        figure = Figure(figsize=(wide, high), facecolor="white")
+        axes = figure.add_axes((left / wide, low / high, p * step / wide, p * step / high))
+        image = axes.imshow(matrix, cmap="PuOr", vmin=-1, vmax=1, aspect="equal", interpolation="nearest", rasterized=False)
+        axes.set_xticks(
+            np.arange(p),
+            labels,
+            rotation=90 if p > 5 or several else 30,
+            ha="center" if p > 5 or several else "left",
+            rotation_mode=None if p > 5 or several else "anchor",
+        )
+        axes.set_yticks(np.arange(p), labels)
+        axes.tick_params(length=0, top=False, labeltop=True, bottom=False, labelbottom=False)
+        axes.grid(False)
+        for side in axes.spines.values():
+            side.set_visible(False)
+        axes.set_xticks(np.arange(p + 1) - 0.5, minor=True)
+        axes.set_yticks(np.arange(p + 1) - 0.5, minor=True)
+        axes.grid(True, which="minor", color="white", linewidth=1.5)
+        axes.tick_params(which="minor", length=0)
+        for i in range(p):
+            for j in range(p):
+                value = matrix[i, j]
+                if np.isfinite(value):
+                    text = "1" if i == j else f"{value:.2f}".replace("-", "−")
+                    axes.text(
+                        j,
+                        i,
+                        text,
+                        ha="center",
+                        va="center",
+                        fontsize=min(8.0, 15 * step),
+                        color="white" if abs(value) > 0.62 else INK,
+                    )
+        bar = figure.add_axes(((left + p * step + 0.25) / wide, low / high, 0.14 / wide, p * step / high))
+        figure.colorbar(image, cax=bar, ticks=[-1, -0.5, 0, 0.5, 1])
+        bar.set_ylabel("correlation", labelpad=4)
+        for side in bar.spines.values():
+            side.set_visible(False)
+        svg = _svg(figure, name)
+    caption = (
+        "Correlation between the estimates of the terms. Near 0, two terms are told apart by these data; near ±1 only their sum or difference is known, "
+        "and a wrong value of one is made up for by the other."
+    )
+    return Drawing(name, svg, caption, "Correlation matrix of the terms")
+
+
+def term_label(name: str) -> str:
+    """The name of a term as people read it: ``range_bias`` is "range bias"."""
+    return name.replace("_", " ")
