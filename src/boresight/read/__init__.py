@@ -15,8 +15,9 @@ __all__ = ["read", "sha256_of"]
 def read(path: str | Path, *, editions: Mapping[int, str] | None = None, date: datetime.date | None = None) -> Recording:
     """Read a recording: its plots, fixes, sources, damage and warnings.
 
-    `editions` names the edition of an ASTERIX category (``{21: "0.23"}``; inferred where it is not given), `date` is the UTC date of the
-    first record of a file that tells only times of day.  Raises InputError for a file that cannot be used, with what to do about it.
+    `editions` names the edition of an ASTERIX category (``{21: "0.23"}``; inferred where it is not given), `date` is the UTC date
+    of the first record of a file that tells only times of day.  Raises InputError for a file that cannot be used, with what to
+    do about it.
     """
     from .asterix import read_asterix
 

@@ -1,8 +1,8 @@
 """ASTERIX: raw data blocks to columns.
 
 `decode` does no input or output: bytes and a state go in, tables and the next state come out, for files and datagrams alike.
-`read_asterix` folds it over a file.  One kernel walks the field specifications (FSPEC) of all records with the tables of `uap` and
-notes where each item lies; a second one takes bits from there into columns.
+`read_asterix` serves files, `decode_items` shows single records.  One kernel walks the field specifications (FSPEC) of all
+records with the tables of `uap` and notes where each item lies; a second one takes bits from there into columns.
 
 What is damaged costs itself only: a record that does not add up is skipped and said, with its offset and the reason, and reading
 goes on where blocks fit together again.
@@ -22,7 +22,7 @@ import numpy as np
 from .._jit import kernel
 from .._types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 from ..errors import InputError
-from ..model import Channel, Damage, Fixes, Flag, Plots, Recording, Source
+from ..model import Channel, Damage, Fixes, Flag, Plots, Recording, Source, unpack_callsigns
 from . import uap
 
 DAY_S = 86400.0
@@ -32,6 +32,8 @@ _ROWS = 1 << 16
 _SAMPLE = 16
 # Records that follow each other in a sample of a file are this close in time, whatever the file.
 _GAP_S = 3600.0
+# What is not known of the time of a position where only the report's transmission is stamped (METHODS section 6).
+TRANSMISSION_SD_S = 0.5
 
 # How a walk ended.
 _MORE, _FULL, _RECORD, _HEADER, _STRANGE, _PENDING, _CUT = range(7)
@@ -50,9 +52,9 @@ _WHY = {
 class Layout(NamedTuple):
     """The tables of some categories as arrays, for the kernels.
 
-    `cats` (256, 3): the first node of a category (-1: unknown, -2: its edition is not known yet), the number of its FSPEC bits, the bit of
-    its data source identifier.  `nodes` (n, 7): kind, size, step, most, first sub-node, number of sub-nodes, slot.  A slot is a column of
-    the table of item offsets.
+    `cats` (256, 3): the first node of a category (-1: unknown, -2: its edition is not known yet), the number of its FSPEC bits,
+    the bit of its data source identifier.  `nodes` (n, 7): kind, size, step, most, first sub-node, number of sub-nodes, slot.
+    A slot is a column of the table of item offsets.
     """
 
     cats: IntArray
@@ -208,7 +210,7 @@ def _walk(
     data: ByteArray, pos: int, final: bool, cats: IntArray, nodes: IntArray,
     start: IntArray, length: IntArray, category: AnyArray, items: AnyArray, unknown: IntArray,
 ) -> tuple[int, int, int, int, int]:  # fmt: skip
-    """Read blocks from `pos` on: fills rows, returns (rows, place of the block where it stopped, how, place of the record, reason)."""
+    """Read blocks from `pos` on.  Fills rows; returns (rows, the block where it stopped, how, the record there, the reason)."""
     size, n, room = len(data), 0, len(start)
     while True:
         if size - pos < 3:
@@ -289,7 +291,7 @@ def _plausible(data: ByteArray, p: int, final: bool, cats: IntArray) -> int:
 
 @kernel
 def _resume(data: ByteArray, place: int, end: int, final: bool, cats: IntArray, nodes: IntArray, row: AnyArray) -> int:
-    """Where reading goes on after damage at `place` in a block that claims to end at `end`; -1 where more data are needed to know.
+    """Where reading goes on after damage at `place` in a block that claims to end at `end`; -1 where only more data can tell.
 
     A chain of faultless blocks that ends where the damaged block claims to end shows that its length was wrong and blocks
     are hidden in it.  Else its length is believed if a block may begin behind it.  Else the first faultless block is sought.
@@ -331,9 +333,11 @@ def _extract(
     data: ByteArray, start: IntArray, items: AnyArray, rows: IntArray, spec: IntArray, scale: FloatArray, table: IntArray,
     numbers: FloatArray, codes: IntArray, flags: IntArray,
 ) -> None:  # fmt: skip
-    """Bits to columns.  A row of `spec` is one field: slot, byte, bytes, shift, mask, sign bit, first part, step, part, what, out, guard byte, guard mask.
+    """Bits to columns.
 
-    What: 0 a quantity into `numbers[out]`, 1 a code into `codes[out]`, 2 flags by `table[out]`, 3 the same for a list of codes that FX continues.
+    A row of `spec` is one field: slot, byte, bytes, shift, mask, sign bit, first part, step, part, what, out, guard byte, guard
+    mask, limit (a value there says only that it is beyond).  What: 0 a quantity into `numbers[out]`, 1 a code into `codes[out]`,
+    2 flags by `table[out]`, 3 the same for a list of codes that FX continues.
     """
     for k in range(len(rows)):
         i = rows[k]
@@ -351,6 +355,7 @@ def _extract(
                     at += 1
                 continue
             missing = False
+            # Parts of an extended item that are not there.
             for j in range(spec[m, 8]):
                 if data[at + spec[m, 6] - 1 + j * spec[m, 7]] & 1 == 0:
                     missing = True
@@ -362,6 +367,8 @@ def _extract(
             value = value >> spec[m, 3] & spec[m, 4]
             if value & spec[m, 5]:
                 value -= spec[m, 5] << 1
+            if spec[m, 13] and (value == spec[m, 13] or value == -spec[m, 13] - 1):
+                continue
             if what == 0:
                 if np.isnan(numbers[out, k]):
                     numbers[out, k] = value * scale[m]
@@ -374,7 +381,7 @@ def _extract(
 
 @kernel
 def _unwrap(tod: FloatArray, source: IntArray, last: FloatArray, latest: float, day_s: float, out: FloatArray) -> float:
-    """Times of day (s) to times since 1970: each within half a day of its source's last one, the first within half a day of `latest`."""
+    """Times of day to times since 1970 (s): each within half a day of its source's last one, the first of `latest`."""
     for i in range(len(tod)):
         if np.isnan(tod[i]):
             continue
@@ -411,6 +418,11 @@ class _Program(NamedTuple):
     codes: tuple[str, ...]
 
 
+def _listed(item: uap.Item) -> bool:
+    """Whether an item is a list of codes that goes on while FX is set."""
+    return item.kind == uap.EXTENDED and len(item.fields) == 1 and item.fields[0].bits == 7
+
+
 def _find(category: int, edition: str, text: str) -> tuple[int, uap.Item, uap.Field]:
     path, _, name = text.partition(".")
     wanted, _, child = path.partition("/")
@@ -426,13 +438,16 @@ def _spec_row(category: int, edition: str, text: str, what: int, out: int) -> tu
     slot, item, bits = _find(category, edition, text.strip())
     first = bits.bit // 8
     last = (bits.bit + bits.bits - 1) // 8
-    guard_byte = guard_mask = 0
+    guard_byte = guard_mask = limit = 0
     for name in guards.split():
+        if name == "clipped":
+            limit = (1 << (bits.bits - 1)) - 1
+            continue
         guard = _find(category, edition, f"{text.partition('.')[0].strip()}.{name}")[2]
         guard_byte, guard_mask = guard.bit // 8, guard_mask | 0x80 >> guard.bit % 8
     row = [
         slot, first, last - first + 1, (last + 1) * 8 - bits.bit - bits.bits, (1 << bits.bits) - 1,
-        1 << (bits.bits - 1) if bits.signed else 0, item.size, item.step, bits.part, what, out, guard_byte, guard_mask,
+        1 << (bits.bits - 1) if bits.signed else 0, item.size, item.step, bits.part, what, out, guard_byte, guard_mask, limit,
     ]  # fmt: skip
     return row, bits.lsb * uap.SI[bits.unit]
 
@@ -459,16 +474,14 @@ def _program(category: int, edition: str, columns: tuple[tuple[str, str], ...], 
         for text, values, flag in uap.FLAGS.get((category, uap.family(category, edition)), ()):
             chosen = values or range(1, 256)
             table.append([int(flag) if v in chosen else 0 for v in range(256)])
-            _, item, bits = _find(category, edition, text)
-            listed = item.kind == uap.EXTENDED and len(item.fields) == 1 and bits.bits == 7
-            add(text, 3 if listed else 2, len(table) - 1)
+            item = _find(category, edition, text)[1]
+            add(text, 3 if _listed(item) else 2, len(table) - 1)
         channel, _ = uap.CHANNELS[category]
         if channel:
             add(channel, 1, len(codes))
             codes.append("channel")
-    return _Program(
-        np.array(rows, np.int64).reshape(-1, 13), np.array(scales), np.array(table, np.int64).reshape(-1, 256), numbers, tuple(codes)
-    )
+    spec, flags = np.array(rows, np.int64).reshape(-1, 14), np.array(table, np.int64).reshape(-1, 256)
+    return _Program(spec, np.array(scales), flags, numbers, tuple(codes))
 
 
 # ---------------------------------------------------------------------------------------------------------------- the decoder
@@ -506,9 +519,10 @@ class DecodeState:
 class Records:
     """What some bytes held.  `plots.record` and `fixes.record` are numbers of records in the whole stream.
 
-    One row a record, in the order of the stream: absolute byte `offset`, `length`, `category`, `source` (``sac << 8 | sic``), `time_s`
-    (NaN where the record has none).  `site` has the positions that the stream tells: source, latitude, longitude (rad), height (m).
-    `unknown` counts the blocks of categories that cannot be read.
+    One row a record, in the order of the stream: absolute byte `offset`, `length`, `category`, `source` (``sac << 8 | sic``),
+    `time_s` (NaN where the record has none), `digest` (equal for equal bytes).  `site` has the positions that the stream tells:
+    source, latitude, longitude (rad), height (m).  `unknown` counts the blocks of categories that cannot be read; `clipped`
+    the positions beyond what their item can hold: they are no fixes.
     """
 
     plots: Plots
@@ -522,11 +536,14 @@ class Records:
     site: tuple[tuple[int, float, float, float], ...]
     damaged: tuple[Damage, ...]
     unknown: Mapping[int, int]
+    clipped: int = 0
 
 
 def _columns(
-    data: ByteArray, start: IntArray, items: AnyArray, rows: IntArray, category: int, edition: str, columns: dict[str, str], flagged: bool
-) -> tuple[dict[str, Any], IntArray]:
+    data: ByteArray, start: IntArray, items: AnyArray, rows: IntArray, category: int, edition: str, columns: dict[str, str],
+    flagged: bool,
+) -> tuple[dict[str, Any], IntArray]:  # fmt: skip
+    """The wanted fields of some records of one category, and their flags (n,); with flags come the channels."""
     program = _program(category, edition, tuple(columns.items()), flagged)
     n = len(rows)
     numbers = np.full((len(program.numbers), n), np.nan)
@@ -541,9 +558,8 @@ def _columns(
             out["channel"] = np.full(n, lookup[0], np.int8)
         else:
             out["channel"] = np.where(channel < 0, np.int8(Channel.UNKNOWN), lookup[np.maximum(channel, 0)])
-    for name in ("mode_s",):
-        if name in out:
-            out[name][out[name] == 0] = -1
+    if "mode_s" in out:
+        out["mode_s"][out["mode_s"] == 0] = -1
     if "callsign" in out:
         out["callsign"] = _callsigns(out["callsign"])
     return out, flags
@@ -570,7 +586,7 @@ def _has(items: AnyArray, rows: IntArray, slots: list[int]) -> BoolArray:
     return out
 
 
-def _motion(columns: dict[str, Any]) -> tuple[AnyArray | None, AnyArray | None]:
+def _motion(columns: dict[str, Any]) -> tuple[Any, Any]:
     """East and north velocity from the Cartesian columns, where absent from speed and course; the raw columns are taken out."""
     vx, vy = columns.pop("vx", None), columns.pop("vy", None)
     speed, course = columns.pop("speed", None), columns.pop("course", None)
@@ -580,6 +596,11 @@ def _motion(columns: dict[str, Any]) -> tuple[AnyArray | None, AnyArray | None]:
             return east, north
         return np.where(np.isnan(vx), east, vx), np.where(np.isnan(vy), north, vy)
     return vx, vy
+
+
+def _positive(sd: AnyArray) -> AnyArray:
+    """An sd of nothing says nothing."""
+    return np.where(sd > 0, sd, np.nan)
 
 
 def _plots(columns: dict[str, Any]) -> dict[str, Any]:
@@ -603,7 +624,9 @@ def _fixes(columns: dict[str, Any]) -> dict[str, Any]:
         columns["heading_rad"] = columns.pop("orientation")
     sd_x, sd_y = columns.pop("sd_x", None), columns.pop("sd_y", None)
     if sd_x is not None and sd_y is not None:
-        columns["horizontal_sd_m"] = np.sqrt((sd_x**2 + sd_y**2) / 2)
+        columns["horizontal_sd_m"] = _positive(np.sqrt((sd_x**2 + sd_y**2) / 2))
+    if "vertical_sd_m" in columns:
+        columns["vertical_sd_m"] = _positive(columns["vertical_sd_m"])
     if "nacp" in columns:
         nacp, gva, version, size = (columns.pop(n) for n in ("nacp", "gva", "version", "length_width"))
         # Version 0 (DO-260) has no NACp: what stands there is made up from the NUC, which is containment, not accuracy.
@@ -648,7 +671,7 @@ def _score(data: ByteArray, places: list[int], category: int, edition: str) -> f
     kept: list[AnyArray] = []
     whole = 0
     for place in places:
-        block = data[place : place + (int(data[place + 1]) << 8 | int(data[place + 2]))]
+        block = data[place : _end(data, place)]
         room = len(block) // 3 + 1
         start, length, cats = np.zeros(room, np.int64), np.zeros(room, np.int64), np.zeros(room, np.uint8)
         items, unknown = np.zeros((room, _width()), np.uint16), np.zeros(256, np.int64)
@@ -686,14 +709,14 @@ def _blocks(data: ByteArray, pos: int, category: int, most: int) -> tuple[list[i
     while len(out) < most:
         if len(data) - pos < 3:
             return out, True
-        long = int(data[pos + 1]) << 8 | int(data[pos + 2])
-        if long < 3:
+        end = _end(data, pos)
+        if end < pos + 3:
             return out, False
-        if pos + long > len(data):
+        if end > len(data):
             return out, True
         if data[pos] == category:
             out.append(pos)
-        pos += long
+        pos = end
     return out, False
 
 
@@ -702,10 +725,10 @@ def decode(
 ) -> tuple[Records, DecodeState, int]:
     """Decode ASTERIX data blocks: (records, next state, number of bytes consumed).
 
-    What is not consumed is the beginning of a block that is not complete yet (or whose meaning depends on what follows): give it again, with
-    more behind it.  However a stream is cut, the records, the damage and the last state are the same.  `final` says that nothing follows:
-    then everything is consumed, and what is incomplete is damage.  A datagram is final.  `receive_s` (UTC seconds) is when the
-    data were received: it tells the day; without it, times follow on from the state.
+    What is not consumed is the beginning of a block that is not complete yet (or whose meaning depends on what follows): give it
+    again, with more behind it.  However a stream is cut, the records, the damage and the last state are the same.  `final` says
+    that nothing follows: then everything is consumed, and what is incomplete is damage.  A datagram is final.  `receive_s` (UTC
+    seconds) is when the data were received: it tells the day; without it, times follow on from the state.
     """
     buffer = np.ascontiguousarray(data, np.uint8) if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8)
     parts: list[Records] = []
@@ -719,18 +742,25 @@ def decode(
     return parts[0] if len(parts) == 1 else _join(parts), state, consumed
 
 
+def _end(data: ByteArray, pos: int) -> int:
+    """Where the block that begins at `pos` claims to end."""
+    return pos + (int(data[pos + 1]) << 8 | int(data[pos + 2]))
+
+
 def _join(parts: list[Records]) -> Records:
     unknown: dict[int, int] = {}
     for part in parts:
         for category, count in part.unknown.items():
             unknown[category] = unknown.get(category, 0) + count
+    rows = ("offset", "length", "category", "source", "time_s", "digest")
     return Records(
         plots=Plots.concat([p.plots for p in parts]),
         fixes=Fixes.concat([p.fixes for p in parts]),
-        **{n: np.concatenate([getattr(p, n) for p in parts]) for n in ("offset", "length", "category", "source", "time_s", "digest")},
+        **{name: np.concatenate([getattr(p, name) for p in parts]) for name in rows},
         site=tuple(dict.fromkeys(s for p in parts for s in p.site)),
         damaged=tuple(d for p in parts for d in p.damaged),
         unknown=unknown,
+        clipped=sum(p.clipped for p in parts),
     )
 
 
@@ -773,20 +803,19 @@ def _decode_some(
                 editions[which] = best
                 layout = _layout_of(editions)
                 continue
-            why, end = f"the block fits no known edition of category {which:03d}", pos + (int(data[pos + 1]) << 8 | int(data[pos + 2]))
-            place = pos
+            why, end, place = f"the block fits no known edition of category {which:03d}", _end(data, pos), pos
         elif how == _CUT:
-            long = int(data[pos + 1]) << 8 | int(data[pos + 2]) if len(data) - pos >= 3 else 3
-            why, end = f"the data end here, {pos + long - len(data)} bytes before the end of the block that began at byte {state.offset + pos}", len(data)
+            short = (_end(data, pos) if len(data) - pos >= 3 else pos + 3) - len(data)
+            why, end = f"the data end in a block (of byte {state.offset + pos}): at least {short} bytes are missing", len(data)
         elif how == _HEADER:
             why, end = f"a block cannot be {code} bytes long", pos + 1
         elif how == _STRANGE:
             why, end = f"no block begins here (category {int(data[pos])})", pos + 1
         else:
             why = _WHY[code // 1000].format(frn=code % 1000)
-            end = pos + (int(data[pos + 1]) << 8 | int(data[pos + 2]))
-        # What lies between the damage and where blocks fit together again is lost.  A record's own place may begin a block: its block's
-        # length may be what is wrong.  A block's own place may not.
+            end = _end(data, pos)
+        # What lies between the damage and where blocks fit together again is lost.  A record's own place may begin a block (if
+        # its block's length is what is wrong), a block's own place may not.
         search = place if how in (_RECORD, _CUT) else place + 1
         resumed = _resume(data, search, end, final, layout.cats, layout.nodes, row)
         if resumed < 0:
@@ -855,6 +884,7 @@ def _assemble(
     plots: list[Plots] = []
     fixes: list[Fixes] = []
     site: dict[tuple[int, float, float, float], None] = {}
+    clipped = 0
     for cat, edition, rows in groups:
         slots = _slots(cat, edition)
         if cat in uap.PLOTS:
@@ -870,21 +900,24 @@ def _assemble(
             columns, flags = _columns(data, start, items, mine, cat, edition, wanted, True)
             columns = _fixes(columns)
             if cat == 21:
-                # Only an explicit time of applicability is that of the position; a reception is a little later, a transmission by far.
+                # Only a time of applicability is that of the position; a reception is a little later, a transmission by far.
                 names = [text for text, _ in uap.TIMES[cat, uap.family(cat, edition)]]
-                reception, transmission = (np.array([text == t for text in names] + [False])[which[mine]] for t in ("073.073", "077.077"))
+                reception = np.array([text == "073.073" for text in names] + [False])[which[mine]]
+                transmission = np.array([text == "077.077" for text in names] + [False])[which[mine]]
                 flags = flags | np.where(reception, int(Flag.TIME_OF_RECEPTION), 0)
                 if transmission.any():
-                    columns["time_sd_s"] = np.where(transmission, 0.5, columns.get("time_sd_s", np.nan))
-            fixes.append(
-                Fixes(time_s=time_s[mine], source=source[mine], flags=flags, record=mine + state.records, **columns)
-            )
+                    columns["time_sd_s"] = np.where(transmission, TRANSMISSION_SD_S, columns.get("time_sd_s", np.nan))
+            table = Fixes(time_s=time_s[mine], source=source[mine], flags=flags, record=mine + state.records, **columns)
+            placed = np.isfinite(table.latitude_rad + table.longitude_rad) | np.isfinite(table.x_m + table.y_m)
+            clipped += int(np.count_nonzero(~placed))
+            fixes.append(table if placed.all() else table[placed])
         if cat in uap.SITES:
             texts = uap.SITES[cat]
             mine = rows[_has(items, rows, [slots[texts[0].partition(".")[0]]])]
             if len(mine):
-                columns, _ = _columns(data, start, items, mine, cat, edition, dict(zip(("lat", "lon", "up"), texts, strict=True)), False)
-                told = np.column_stack([source[mine].astype(np.float64), columns["lat"], columns["lon"], columns["up"]])
+                names = ["lat", "lon", "up"]
+                columns, _ = _columns(data, start, items, mine, cat, edition, dict(zip(names, texts, strict=True)), False)
+                told = np.column_stack([source[mine], *(columns[name] for name in names)])
                 for s, *place in np.unique(told, axis=0).tolist():
                     site[int(s), place[0], place[1], place[2]] = None
     digest = np.empty(n, np.uint64)
@@ -892,6 +925,7 @@ def _assemble(
     records = Records(
         plots=_ordered(Plots, plots), fixes=_ordered(Fixes, fixes), offset=start + state.offset, length=length.copy(),
         category=category.copy(), source=source, time_s=time_s, digest=digest, site=tuple(site), damaged=(), unknown={},
+        clipped=clipped,
     )  # fmt: skip
     return records, replace(state, latest_s=latest, stamps=stamps, editions=editions, records=state.records + n)
 
@@ -912,9 +946,9 @@ def read_asterix(path: str | Path, *, editions: Mapping[int, str] | None = None,
     """Read a file of ASTERIX data blocks.
 
     `editions` names the edition of a category (``{21: "0.23"}``); where it is not given it is inferred, and said in the warnings.
-    `date` is the UTC date of the file's first record; without it the first day is day 0 (1970-01-01), and that is said.  Duplicated
-    records and records out of order are kept and counted in the warnings.  Raises InputError where nothing at all could be read, and where
-    the records do not fit the edition (with the one that they fit), SettingsError for an unknown edition.
+    `date` is the UTC date of the file's first record; without it the first day is day 0 (1970-01-01), and that is said.
+    Duplicated records and records out of order are kept and counted in the warnings.  Raises InputError where nothing at all
+    could be read, and where the records do not fit the edition (with the one that they fit); SettingsError for an unknown one.
     """
     data = _bytes_of(path)
     given = dict(editions or {})
@@ -925,10 +959,13 @@ def read_asterix(path: str | Path, *, editions: Mapping[int, str] | None = None,
         raise _nothing(path, data, records)
     warnings: list[str] = []
     if date is None:
-        warnings.append("no date was given: times count from 1970-01-01 as the day of the first record (--date gives its UTC date)")
+        warnings.append("no date was given: the first record's day counts as 1970-01-01 (--date gives its UTC date)")
     for category, edition in state.editions.items():
         if category not in given:
-            warnings.append(f"category {category:03d} was read as edition {edition}, inferred from the records (--edition {category:03d}=… sets it)")
+            name = f"{category:03d}"
+            warnings.append(
+                f"category {name} was read as edition {edition}, inferred from the records (--edition {name}=… sets it)"
+            )
     _check_positions(path, data, records, state.editions)
     warnings += _remarks(records)
     return Recording(
@@ -948,7 +985,9 @@ def _bytes_of(path: str | Path) -> ByteArray:
         data = np.fromfile(path, np.uint8)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise InputError(f"cannot be read ({reason})", path=path, remedy="Check the file's name and that you may read it.") from error
+        raise InputError(
+            f"cannot be read ({reason})", path=path, remedy="Check the file's name and that you may read it."
+        ) from error
     if not len(data):
         raise InputError("the file is empty", path=path, remedy="Give a recording of ASTERIX data blocks.")
     return data
@@ -957,21 +996,19 @@ def _bytes_of(path: str | Path) -> ByteArray:
 def _nothing(path: str | Path, data: ByteArray, records: Records) -> InputError:
     """Why no record at all could be read."""
     known = ", ".join(f"{c:03d}" for c in uap.categories())
+    remedy = f"A recording holds raw data blocks (category, length, records) of the categories {known}."
     head = data[:4096]
     printable = np.count_nonzero((head >= 32) & (head < 127) | (head == 9) | (head == 10) | (head == 13))
     if printable >= 0.95 * len(head):
-        start = bytes(head[:40]).decode("ascii", "replace").splitlines()[0]
-        return InputError(f"this is text ({start!r} …), not ASTERIX", path=path, offset=0, remedy="Give a recording of ASTERIX data blocks.")
+        lines = bytes(head[:40]).decode("ascii", "replace").split("\n")
+        return InputError(f"this is text ({lines[0].strip()!r} …), not ASTERIX", path=path, offset=0, remedy=remedy)
     if not head.any():
-        return InputError("the file holds zeros, not ASTERIX", path=path, offset=0, remedy="Give a recording of ASTERIX data blocks.")
+        return InputError("this is nothing but zeros, not ASTERIX", path=path, offset=0, remedy=remedy)
     if records.unknown and not records.damaged:
         found = ", ".join(f"{c:03d}" for c in records.unknown)
-        return InputError(f"holds only ASTERIX categories that cannot be read ({found})", path=path, remedy=f"Categories that can: {known}.")
-    first = records.damaged[0] if records.damaged else Damage(0, "no block is complete")
-    return InputError(
-        f"no ASTERIX record could be read: {first.why}", path=path, offset=first.offset,
-        remedy=f"A recording is raw data blocks (category, length, records) of the categories {known}; was it cut, or is it another format?",
-    )  # fmt: skip
+        return InputError(f"this holds only ASTERIX categories that cannot be read ({found})", path=path, remedy=remedy)
+    first = records.damaged[0] if records.damaged else Damage(0, "every block is empty")
+    return InputError(f"no ASTERIX record could be read: {first.why}", path=path, offset=first.offset, remedy=remedy)
 
 
 def _spread(data: ByteArray, category: int, most: int = 256) -> list[int]:
@@ -1001,7 +1038,7 @@ def _check_positions(path: str | Path, data: ByteArray, records: Records, editio
         mine = records.fixes[records.category[records.fixes.record] == category]
         known = np.isfinite(mine.latitude_rad)
         wrong = np.count_nonzero((np.abs(mine.latitude_rad) > np.pi / 2) | (np.abs(mine.longitude_rad) > np.pi))
-        if wrong > 0.01 * max(1, np.count_nonzero(known)):
+        if wrong > 0.01 * max(1, int(np.count_nonzero(known))):
             best, _ = _infer(data, _spread(data, category), category)
             raise _other_edition(path, category, edition, best, f"{wrong} of {len(mine)} positions are not on Earth")
 
@@ -1019,28 +1056,31 @@ def _other_edition(path: str | Path, category: int, edition: str, best: str, wha
 
 def _remarks(records: Records) -> list[str]:
     """What a reader should know of records that were kept: categories passed over, duplicates, disorder, stamps."""
-    out = [f"{count} blocks of category {category:03d} were passed over: it cannot be read" for category, count in records.unknown.items()]
+    out = [
+        f"{n} blocks of category {category:03d} were passed over: it cannot be read" for category, n in records.unknown.items()
+    ]
     order = np.sort(records.digest)
     duplicates = int(np.count_nonzero(order[1:] == order[:-1]))
     if duplicates:
         out.append(f"{duplicates} records are byte for byte the same as another one; they were kept")
+    if records.clipped:
+        out.append(f"{records.clipped} positions are beyond what their item can hold: they are left out of the fixes")
     untimed = int(np.count_nonzero(np.isnan(records.time_s)))
     if untimed:
         out.append(f"{untimed} records have no time of day, or one beyond 24 hours: their time is not known")
     for source in np.unique(records.source).tolist():
         times = records.time_s[records.source == source]
-        times = times[np.isfinite(times)]
-        back = -np.diff(times)
+        back = -np.diff(times[np.isfinite(times)])
         if np.any(back > 0):
             out.append(
-                f"{np.count_nonzero(back > 0)} records of SAC/SIC {source >> 8}/{source & 255} are stamped before the record ahead of them "
-                f"(by up to {back.max():.3f} s); they were kept in the order of the file"
+                f"{np.count_nonzero(back > 0)} records of SAC/SIC {source >> 8}/{source & 255} are stamped before the one ahead "
+                f"of them (by up to {back.max():.3f} s); they were kept in the order of the file"
             )
-    late = int(np.count_nonzero(records.fixes.time_sd_s == 0.5))
+    late = int(np.count_nonzero(records.fixes.time_sd_s == TRANSMISSION_SD_S))
     if late:
         out.append(
-            f"{late} ADS-B reports tell only when they were transmitted by the station (I021/077), not when the position was valid: "
-            "their time is taken as 0.5 s (sd) uncertain"
+            f"{late} ADS-B reports tell only when the station sent them (I021/077), not when the position was valid: "
+            f"their time is taken as {TRANSMISSION_SD_S} s (sd) uncertain"
         )
     return out
 
@@ -1048,24 +1088,123 @@ def _remarks(records: Records) -> list[str]:
 def _sources(records: Records, editions: Mapping[int, str]) -> tuple[Source, ...]:
     """Who sent what: one a SAC/SIC and category, in that order."""
     key = records.source.astype(np.int64) << 8 | records.category
-    places = {s: (lat, lon, up) for s, lat, lon, up in records.site}
-    plot_key = key[records.plots.record]
-    both = [(records.plots.mode_s, records.plots.track, plot_key), (records.fixes.mode_s, records.fixes.track, key[records.fixes.record])]
+    places = {source: place for source, *place in records.site}
+    plots, fixes = records.plots, records.fixes
+    plot_key = key[plots.record]
+    row_key = np.concatenate([plot_key, key[fixes.record]])
+    mode_s, track = np.concatenate([plots.mode_s, fixes.mode_s]), np.concatenate([plots.track, fixes.track])
     out: list[Source] = []
     for k in np.unique(key).tolist():
         source, category = k >> 8, k & 255
-        mine = key == k
-        times = records.time_s[mine]
+        times = records.time_s[key == k]
         times = times[np.isfinite(times)]
-        mode_s, track = (np.concatenate([t[n][t[2] == k] for t in both]) for n in (0, 1))
-        known = mode_s[mode_s >= 0] if np.any(mode_s >= 0) else track[track >= 0]
-        lat, lon, up = places.get(source, (float("nan"),) * 3)
+        span = (float(times.min()), float(times.max())) if len(times) else (float("nan"),) * 2
+        known = mode_s[(row_key == k) & (mode_s >= 0)]
+        if not len(known):
+            known = track[(row_key == k) & (track >= 0)]
+        latitude, longitude, height = places.get(source, [float("nan")] * 3)
         out.append(
             Source(
-                sac=source >> 8, sic=source & 255, category=category, edition=editions.get(category) or uap.default_edition(category),
-                records=int(np.count_nonzero(mine)), plots=int(np.count_nonzero(plot_key == k)),
-                start_s=float(times.min()) if len(times) else float("nan"), end_s=float(times.max()) if len(times) else float("nan"),
-                targets=len(np.unique(known)), latitude_rad=lat, longitude_rad=lon, height_m=up,
-            )  # fmt: skip
+                sac=source >> 8,
+                sic=source & 255,
+                category=category,
+                edition=editions.get(category) or uap.default_edition(category),
+                records=int(np.count_nonzero(key == k)),
+                plots=int(np.count_nonzero(plot_key == k)),
+                start_s=span[0],
+                end_s=span[1],
+                targets=len(np.unique(known)),
+                latitude_rad=latitude,
+                longitude_rad=longitude,
+                height_m=height,
+            )
         )
     return tuple(out)
+
+
+# ----------------------------------------------------------------------------------------------------------- single records
+
+
+@dataclass(frozen=True, slots=True)
+class ItemRecord:
+    """One record with the bytes of each of its items ("040") and sub-items ("130/RPD"), in the order of the record."""
+
+    offset: int
+    category: int
+    edition: str
+    items: dict[str, bytes]
+
+    def values(self, name: str) -> list[dict[str, int | float | str]]:
+        """The fields of an item, as its category document has them (its units, codes as integers); one dict a repetition.
+
+        Extended items have the fields of the parts that are there.  Items without a described inside (RE, SP) give no fields.
+        """
+        wanted, _, child = name.partition("/")
+        item = next(i for i in uap.items_of(self.category, self.edition) if i is not None and i.name == wanted)
+        if child:
+            item = next(i for i in item.subitems if i is not None and i.name == child)
+        raw = self.items[name]
+        if item.kind == uap.REPETITIVE:
+            return [_values(item, raw[at : at + item.size]) for at in range(1, len(raw), item.size)]
+        if item.kind == uap.EXTENDED and _listed(item):
+            return [{item.name: byte >> 1} for byte in raw]
+        return [] if item.kind in (uap.EXPLICIT, uap.COMPOUND) else [_values(item, raw)]
+
+
+def _values(item: uap.Item, raw: bytes) -> dict[str, int | float | str]:
+    whole = int.from_bytes(raw, "big")
+    out: dict[str, int | float | str] = {}
+    for f in item.fields:
+        shift = len(raw) * 8 - f.bit - f.bits
+        if shift < 0:
+            continue
+        value = whole >> shift & (1 << f.bits) - 1
+        if f.signed and value >> (f.bits - 1):
+            value -= 1 << f.bits
+        if f.text:
+            out[f.name] = unpack_callsigns(np.array([value]))[0]
+        else:
+            out[f.name] = value * f.lsb if f.scaled else value
+    return out
+
+
+def decode_items(data: bytes, editions: Mapping[int, str] | None = None) -> Iterator[ItemRecord]:
+    """Every item of every record, as bytes: to look at records, and to compare decoders.
+
+    `data` are whole blocks; damaged records are passed over.  `editions` as in `read_asterix`; a category whose edition has to be
+    inferred and is not given has its usual one.
+    """
+    known = {c: uap.default_edition(c) for c in uap.categories()} | dict(editions or {})
+    layout = _layout_of(known)
+    buffer = np.frombuffer(data, np.uint8)
+    pos = 0
+    while pos < len(buffer):
+        # One block at a time.
+        stop = min(_end(buffer, pos), len(buffer)) if len(buffer) - pos >= 3 else len(buffer)
+        if stop < pos + 3:
+            return
+        room = stop - pos
+        start, length, cats = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.uint8)
+        items, unknown = np.zeros((room // 3 + 1, layout.width), np.uint16), np.zeros(256, np.int64)
+        n, _, _, _, _ = _walk(
+            buffer[pos:stop], 0, True, layout.cats, layout.nodes, start[: len(items)], length, cats, items, unknown
+        )
+        for i in range(n):
+            begin = pos + int(start[i])
+            edition = known[int(cats[i])]
+            places = {name: int(items[i, slot]) for name, slot in _slots(int(cats[i]), edition).items() if items[i, slot]}
+            yield ItemRecord(begin, int(cats[i]), edition, _cut(bytes(buffer[begin : begin + int(length[i])]), places))
+        pos = stop
+
+
+def _cut(record: bytes, places: dict[str, int]) -> dict[str, bytes]:
+    """The bytes of each item: up to where the next one begins; those of a sub-item within those of its item."""
+    order = sorted(places, key=lambda name: (places[name], "/" in name))
+    top = [name for name in order if "/" not in name]
+    ends = {name: (places[top[k + 1]] if k + 1 < len(top) else len(record)) for k, name in enumerate(top)}
+    for k, name in enumerate(order):
+        if "/" in name:
+            owner = name.partition("/")[0]
+            last = k + 1 == len(order) or order[k + 1].partition("/")[0] != owner
+            ends[name] = ends[owner] if last else places[order[k + 1]]
+    return {name: record[places[name] : ends[name]] for name in order}

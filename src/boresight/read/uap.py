@@ -5,13 +5,14 @@ line of text here.
 
 One line of a category is ``FRN ITEM STRUCTURE FIELDS…`` (FRN: the bit's number in the FSPEC; numbers left out are undefined).
 
-Structures: ``4`` four bytes; ``1+`` one byte, then more while the last bit (FX) is set; ``3+3`` the same in steps of three bytes;
-``1?1`` one byte, then at most one more that has no FX; ``*8`` a count, then that many times eight bytes; ``L`` a length (counting
-itself), then bytes; ``{}`` compound: the sub-items follow on lines that start with a dot, in the order of the subfield's own FSPEC.
+Structures: ``4`` four bytes; ``1+`` one byte, then more while the last bit (FX) is set; ``3+3`` the same in steps of three
+bytes; ``1?1`` one byte, then at most one more that has no FX; ``*8`` a count, then that many times eight bytes; ``L`` a length
+(counting itself), then bytes; ``{}`` compound: the sub-items follow on lines that start with a dot, in the order of the
+subfield's own FSPEC.
 
 Fields, from the first bit: ``NAME:bits``, an ``s`` before the bits for two's complement, an ``a`` for six-bit characters,
-``*LSBunit`` for a quantity (``RHO:16*1/256NM``), ``_n`` for n spare bits, ``/`` where the FX bit closes a part.  Names and bits are those of
-EUROCONTROL's category documents.
+``*LSBunit`` for a quantity (``RHO:16*1/256NM``), ``_n`` for n spare bits, ``/`` where the FX bit closes a part.  A trailing
+backslash continues a line.  Names and bits are those of EUROCONTROL's category documents.
 """
 
 from __future__ import annotations
@@ -167,7 +168,8 @@ _CAT021_0_23 = f"""
 
 _CAT021_2 = f"""
 1  010 2   SAC:8 SIC:8
-2  040 1+  ATP:3 ARC:2 RC:1 RAB:1 / DCR:1 GBS:1 SIM:1 TST:1 SAA:1 CL:2 / _1 LLC:1 IPC:1 NOGO:1 CPR:1 LDPJ:1 RCF:1 / TBC_EP:1 TBC_VAL:6 / MBC_EP:1 MBC_VAL:6 /
+2  040 1+  ATP:3 ARC:2 RC:1 RAB:1 / DCR:1 GBS:1 SIM:1 TST:1 SAA:1 CL:2 / \\
+           _1 LLC:1 IPC:1 NOGO:1 CPR:1 LDPJ:1 RCF:1 / TBC_EP:1 TBC_VAL:6 / MBC_EP:1 MBC_VAL:6 /
 3  161 2   _4 TRNUM:12
 4  015 1   015:8
 5  071 3   071:24*1/128s
@@ -182,7 +184,10 @@ _CAT021_2 = f"""
 14 075 3   075:24*1/128s
 15 076 4   FSI:2 TOMRP:30*1/2^30s
 16 140 2   140:s16*25/4ft
-17 090 1+  NUCRNACV:3 NUCPNIC:4 / NICBARO:1 SIL:2 NACP:4 / _2 SILS:1 SDA:2 GVA:2 / PIC:4 SRC:1 _2 / _2 VALSTATE_EP:1 VALSTATE_VAL:2 VD:1 VQ:1 / VALDISTP1:7*128m / VALDISTP2:7*1m / VALDISTQUALP1:7*128m / VALDISTQUALP2:7*1m /
+17 090 1+  NUCRNACV:3 NUCPNIC:4 / NICBARO:1 SIL:2 NACP:4 / \\
+           _2 SILS:1 SDA:2 GVA:2 / PIC:4 SRC:1 _2 / \\
+           _2 VALSTATE_EP:1 VALSTATE_VAL:2 VD:1 VQ:1 / \\
+           VALDISTP1:7*128m / VALDISTP2:7*1m / VALDISTQUALP1:7*128m / VALDISTQUALP2:7*1m /
 18 210 1   _1 VNS:1 VN:3 LTT:3
 19 070 2   _4 MODE3A:12
 20 230 2   230:s16*1/100deg
@@ -267,7 +272,11 @@ _CAT034 = """
 _CAT048 = """
 1  010 2   SAC:8 SIC:8
 2  140 3   140:24*1/128s
-3  020 1+  TYP:3 SIM:1 RDP:1 SPI:1 RAB:1 / TST:1 ERR:1 XPP:1 ME:1 MI:1 FOEFRI:2 / ADSB_EP:1 ADSB_VAL:1 SCN_EP:1 SCN_VAL:1 PAI_EP:1 PAI_VAL:1 _1 / ACASXV_EP:1 ACASXV_VAL:4 POXPR_EP:1 POXPR_VAL:1 / POACT_EP:1 POACT_VAL:1 DTFXPR_EP:1 DTFXPR_VAL:1 DTFACT_EP:1 DTFACT_VAL:1 _1 / IRMXPR_EP:1 IRMXPR_VAL:1 IRMACT_EP:1 IRMACT_VAL:1 _3 /
+3  020 1+  TYP:3 SIM:1 RDP:1 SPI:1 RAB:1 / TST:1 ERR:1 XPP:1 ME:1 MI:1 FOEFRI:2 / \\
+           ADSB_EP:1 ADSB_VAL:1 SCN_EP:1 SCN_VAL:1 PAI_EP:1 PAI_VAL:1 _1 / \\
+           ACASXV_EP:1 ACASXV_VAL:4 POXPR_EP:1 POXPR_VAL:1 / \\
+           POACT_EP:1 POACT_VAL:1 DTFXPR_EP:1 DTFXPR_VAL:1 DTFACT_EP:1 DTFACT_VAL:1 _1 / \\
+           IRMXPR_EP:1 IRMXPR_VAL:1 IRMACT_EP:1 IRMACT_VAL:1 _3 /
 4  040 4   RHO:16*1/256NM THETA:16*360/2^16deg
 5  070 2   V:1 G:1 L:1 _1 MODE3A:12
 6  090 2   V:1 G:1 FL:s14*1/4FL
@@ -302,7 +311,7 @@ _CAT048 = """
 26 060 2   _4 QA4:1 QA2:1 QA1:1 QB4:1 QB2:1 QB1:1 QC4:1 QC2:1 QC1:1 QD4:1 QD2:1 QD1:1
 27 SP  L
 28 RE  L
-"""  # noqa: E501
+"""
 
 # The tables by category and edition: a text, or the edition that it changes and the lines that replace those with the same FRN.
 # An "x" stands for editions that only append to each other: what is new in them lies in extensions or spare bits.
@@ -338,20 +347,21 @@ INFERRED: dict[int, tuple[str, ...]] = {21: ("2.x", "0.23", "0.26")}
 
 
 class Field(NamedTuple):
-    """Bits of an item: `bit` from the item's first, `bits` long, worth `lsb` of `unit` each; `part` is the part of an extended item."""
+    """Bits of an item, `bit` from its first; a `scaled` one is worth `lsb` of `unit`; `part` is that of an extended item."""
 
     name: str
     bit: int
     bits: int
     signed: bool
     text: bool
+    scaled: bool
     lsb: float
     unit: str
     part: int
 
 
 class Item(NamedTuple):
-    """One item: `kind` as below, `size` of its first part (or one repetition), `step` of its extensions, `most` of them (0: any)."""
+    """One item: its kind, the size of its first part (or a repetition), the step of its extensions, at most so many (0: any)."""
 
     name: str
     kind: int
@@ -391,7 +401,17 @@ def _fields(words: list[str], kind: int) -> tuple[Field, ...]:
                 raise ValueError(f"no field of a category table: {word!r}")
             bits = int(match[3])
             out.append(
-                Field(match[1], at, bits, match[2] == "s", match[2] == "a", _number(match[4] or "1"), match[5] or "", part)
+                Field(
+                    match[1],
+                    at,
+                    bits,
+                    match[2] == "s",
+                    match[2] == "a",
+                    match[4] is not None,
+                    _number(match[4] or "1"),
+                    match[5] or "",
+                    part,
+                )
             )
             at += bits
     if kind != EXPLICIT and at % 8:
@@ -422,7 +442,7 @@ def _item(words: list[str]) -> Item | None:
 def _parse(texts: tuple[str, ...]) -> tuple[Item | None, ...]:
     items: dict[int, Item | None] = {}
     frn = 0
-    for line in "\n".join(texts).splitlines():
+    for line in "\n".join(texts).replace("\\\n", " ").splitlines():
         words = line.split()
         if not words:
             continue
@@ -450,12 +470,12 @@ def table_of(category: int, edition: str) -> str:
     name = _SAME.get((category, edition), edition)
     if category not in _TABLES:
         known = ", ".join(f"{c:03d}" for c in _TABLES)
-        raise SettingsError(f"ASTERIX category {category:03d} cannot be read", where="edition", remedy=f"Known categories: {known}.")
+        why = f"ASTERIX category {category:03d} cannot be read"
+        raise SettingsError(why, where="edition", remedy=f"Known categories: {known}.")
     if name not in _TABLES[category]:
         known = ", ".join([*_TABLES[category], *(e for c, e in _SAME if c == category)])
-        raise SettingsError(
-            f"edition {edition!r} of ASTERIX category {category:03d} is unknown", where="edition", remedy=f"Known editions: {known}."
-        )
+        why = f"edition {edition!r} of ASTERIX category {category:03d} is unknown"
+        raise SettingsError(why, where="edition", remedy=f"Known editions: {known}.")
     return name
 
 
@@ -472,8 +492,8 @@ def items_of(category: int, edition: str) -> tuple[Item | None, ...]:
 
 # ---------------------------------------------------------------------------------------------------------------- columns
 # Where each column of Plots and Fixes comes from: "ITEM.FIELD", or "ITEM/SUBITEM.FIELD"; " unless V G" leaves the column absent
-# where one of these bits of the item is set; " | " gives the next choice where the first is absent.  Names that are no
-# columns (speed, course, vx …) are combined in `asterix`.
+# where one of these bits of the item is set ("clipped": where the value stands at the end of its range); " | " gives the next
+# choice where the first is absent.  Names that are no columns (speed, course, vx …) are combined in `asterix`.
 
 
 class Columns(NamedTuple):
@@ -531,8 +551,8 @@ FIXES: dict[tuple[int, str], Columns] = {
         {
             "latitude_rad": "041.LAT",
             "longitude_rad": "041.LON",
-            "x_m": "042.X",
-            "y_m": "042.Y",
+            "x_m": "042.X unless clipped",
+            "y_m": "042.Y unless clipped",
             "pressure_altitude_m": f"090.FL {_TRANSPONDER}",
             "mode_s": "220.220",
             "mode_3a": f"060.MODE3A {_TRANSPONDER}",
@@ -554,8 +574,8 @@ FIXES: dict[tuple[int, str], Columns] = {
         {
             "latitude_rad": "041.LAT",
             "longitude_rad": "041.LON",
-            "x_m": "042.X",
-            "y_m": "042.Y",
+            "x_m": "042.X unless clipped",
+            "y_m": "042.Y unless clipped",
             "height_m": "105.105",
             "pressure_altitude_m": f"090.FL {_TRANSPONDER}",
             "mode_s": "220.220",
@@ -574,7 +594,7 @@ FIXES: dict[tuple[int, str], Columns] = {
         {
             "latitude_rad": "130.LAT",
             "longitude_rad": "130.LON",
-            "height_m": "140.140",
+            "height_m": "140.140 unless clipped",
             "pressure_altitude_m": "145.145",
             "mode_s": "080.080",
             "callsign": "170.170",
@@ -589,7 +609,7 @@ FIXES: dict[tuple[int, str], Columns] = {
         {
             "latitude_rad": "131.LAT | 130.LAT",
             "longitude_rad": "131.LON | 130.LON",
-            "height_m": "140.140",
+            "height_m": "140.140 unless clipped",
             "pressure_altitude_m": "145.145",
             "mode_s": "080.080",
             "mode_3a": "070.MODE3A",
@@ -607,8 +627,8 @@ FIXES: dict[tuple[int, str], Columns] = {
     (48, ""): Columns(
         ("042",),
         {
-            "x_m": "042.X",
-            "y_m": "042.Y",
+            "x_m": "042.X unless clipped",
+            "y_m": "042.Y unless clipped",
             "pressure_altitude_m": f"090.FL {_TRANSPONDER}",
             "mode_s": "220.220",
             "mode_3a": f"070.MODE3A {_TRANSPONDER}",
