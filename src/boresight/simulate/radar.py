@@ -1,0 +1,440 @@
+"""What simulated radars and ADS-B say of the truth.
+
+A radar's plot is ``measured = h(truth at t - time_offset) + sum of value * column(geometry) + noise`` with the columns of
+`terms`, stamped t: the truth is taken when the rotating antenna points at the target, not on a grid of scans.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from .._types import AnyArray, BoolArray, FloatArray, IntArray
+from ..geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate
+from ..measure import polar_from_enu, polar_motion, position_from_polar, wrap_turn
+from ..model import Channel, Fixes, Flag, Plots, Sensor
+from ..terms import TERMS, Geometry
+from ..write.asterix import Marks, accuracy_sd_m
+from .truth import STEP_S, Truth
+
+# The quanta of CAT048 and CAT021.
+ASTERIX_RANGE_M = 1852.0 / 256
+ASTERIX_AZIMUTH_DEG = 360.0 / 65536
+ASTERIX_TIME_S = 1.0 / 128
+_HEIGHT_QUANTUM_M = 6.25 * 0.3048
+
+
+class Radar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One simulated radar: where it stands, how it turns, how well it measures, and its errors.
+
+    `errors` maps names of `terms.TERMS` to values in the terms' own units (deg, m, m/km, s).  With `elevation_sd_deg` it measures
+    elevation.  A quantum of 0 leaves the value as it is.  `kind` decides the identity that its plots carry: mode_s and combined
+    all of it, ssr Mode 3/A and altitude, psr none; ``identity=False`` takes address, code and callsign away and leaves the
+    altitude.  Secondary ranges carry each aircraft's transponder delay.  `false_plots` are per scan.  `first_north_s` is when the
+    antenna first points north (None: drawn).
+    """
+
+    name: str
+    sac: int
+    sic: int
+    lat_deg: float
+    lon_deg: float
+    height_m: float = 0.0
+    kind: str = "mode_s"
+    scan_s: float = 4.0
+    first_north_s: float | None = None
+    min_range_m: float = 1000.0
+    max_range_m: float = 200e3
+    min_elevation_deg: float = 0.2
+    max_elevation_deg: float = 45.0
+    detection: float = 0.97
+    range_sd_m: float = 30.0
+    azimuth_sd_deg: float = 0.06
+    elevation_sd_deg: float | None = None
+    time_sd_s: float = 0.0
+    range_quantum_m: float = ASTERIX_RANGE_M
+    azimuth_quantum_deg: float = ASTERIX_AZIMUTH_DEG
+    elevation_quantum_deg: float = 0.0
+    time_quantum_s: float = ASTERIX_TIME_S
+    identity: bool = True
+    height_from_elevation: bool = False
+    false_plots: float = 0.0
+    errors: dict[str, float] = msgspec.field(default_factory=dict)
+
+    @property
+    def sensor(self) -> Sensor:
+        """The entry of sensors.toml: what an operator would know of this radar, so without its errors."""
+        return Sensor(
+            name=self.name,
+            sac=self.sac,
+            sic=self.sic,
+            lat_deg=self.lat_deg,
+            lon_deg=self.lon_deg,
+            height_m=self.height_m,
+            kind=self.kind,
+            scan_s=self.scan_s,
+            range_sd_m=self.range_sd_m,
+            azimuth_sd_deg=self.azimuth_sd_deg,
+            elevation_sd_deg=self.elevation_sd_deg,
+            max_range_m=self.max_range_m,
+        )
+
+    @property
+    def time_offset_s(self) -> float:
+        """By how much the stamps are late."""
+        return self.errors.get("time_offset", 0.0)
+
+
+class Adsb(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An ADS-B ground station and what aircraft tell it.
+
+    `share` of the aircraft have ADS-B.  `classes` maps navigation accuracy categories (NACp) to their shares: an aircraft's
+    horizontal error has the sd of its class on each axis, `correlated` of the variance wandering with `correlation_s`, the rest
+    new in every report.  `latency_mean_s` and `latency_sd_s` are over aircraft: reports are stamped that much late.  Reports come
+    every `interval_s` (lowest, highest mean of an aircraft), each is lost with `loss`, and gaps of `gap_s` on average begin every
+    `gap_every_s` on average.
+    """
+
+    name: str = "ADS-B"
+    sac: int = 20
+    sic: int = 219
+    share: float = 0.9
+    classes: dict[str, float] = msgspec.field(default_factory=lambda: {"8": 0.15, "9": 0.35, "10": 0.4, "11": 0.1})
+    correlated: float = 0.8
+    correlation_s: float = 600.0
+    height_sd_m: float = 10.0
+    velocity_sd_mps: float = 0.4
+    latency_mean_s: float = 0.0
+    latency_sd_s: float = 0.1
+    interval_s: tuple[float, float] = (0.5, 1.0)
+    loss: float = 0.05
+    gap_every_s: float = 600.0
+    gap_s: float = 15.0
+    time_quantum_s: float = ASTERIX_TIME_S
+    identity: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """A radar's plots in the order of their stamps, and what is true of each (n,).
+
+    `target` is -1 for false plots; `seconds` is when the antenna pointed at the target, after the epoch; `noise` (n, 3) is what
+    was added at random to range, azimuth and elevation, quantisation not included.
+    """
+
+    plots: Plots
+    target: IntArray
+    seconds: FloatArray
+    noise: FloatArray
+    marks: Marks
+
+
+def site(radar: Radar) -> tuple[FloatArray, FloatArray]:
+    """Position (3,) and enu_from_ecef (3, 3) of the place that the radar is given at."""
+    latitude, longitude = math.radians(radar.lat_deg), math.radians(radar.lon_deg)
+    return ecef_from_geodetic(latitude, longitude, radar.height_m), enu_from_ecef(latitude, longitude)
+
+
+def geometry_at(truth: Truth, radar: Radar, target: IntArray, seconds: FloatArray) -> Geometry:
+    """How targets (n,) truly stand and move as the radar sees them, at times (n,) after the epoch."""
+    origin, rotation = site(radar)
+    motion = truth.motion(target, seconds)
+    polar, rate, second, third = polar_motion(
+        rotate(rotation, motion.position - origin),
+        rotate(rotation, motion.velocity),
+        rotate(rotation, motion.acceleration),
+        rotate(rotation, motion.jerk),
+    )
+    return Geometry(
+        range_m=polar[:, 0],
+        azimuth_rad=polar[:, 1],
+        elevation_rad=polar[:, 2],
+        rate=rate,
+        second=second,
+        third=third,
+        heading_rad=truth.course_rad(motion.position, motion.velocity),
+        length_m=truth.aircraft.length_m[target],
+        time_s=seconds,
+    )
+
+
+def _passings(truth: Truth, radar: Radar, first_north_s: float) -> tuple[IntArray, FloatArray]:
+    """When the antenna points at each target: targets and times (n,), seconds after the epoch.
+
+    The target's azimuth less the antenna's falls steadily, so every whole turn of it is one passing: found on a grid of a second
+    (or a quarter of a scan), then by Newton's method.
+    """
+    step = min(STEP_S, radar.scan_s / 4)
+    origin, rotation = site(radar)
+    targets: list[IntArray] = []
+    times: list[FloatArray] = []
+    for k in range(len(truth)):
+        if truth.last_s[k] - truth.first_s[k] < step:
+            continue
+        count = int((truth.last_s[k] - truth.first_s[k]) / step) + 1
+        when = np.linspace(truth.first_s[k], truth.last_s[k], count)
+        position = truth.motion(np.full(count, k), when, derivatives=0).position
+        azimuth = np.unwrap(polar_from_enu(rotate(rotation, position - origin))[:, 1])
+        turns = (when - first_north_s) / radar.scan_s - azimuth / (2 * np.pi)
+        # A target over the antenna can outrun the beam for a moment; such turns are not passings.
+        turns = np.maximum.accumulate(turns)
+        whole = np.arange(math.ceil(turns[0]), math.floor(turns[-1]) + 1)
+        times.append(np.interp(whole, turns, when))
+        targets.append(np.full(len(whole), k, np.int64))
+    target = np.concatenate(targets) if targets else np.empty(0, np.int64)
+    seconds = np.concatenate(times) if times else np.empty(0)
+    left = np.zeros(len(target))
+    for _ in range(6):
+        motion = truth.motion(target, seconds, derivatives=1)
+        enu = rotate(rotation, motion.position - origin)
+        polar, rate, _, _ = polar_motion(enu, rotate(rotation, motion.velocity), np.zeros_like(enu))
+        turns = (seconds - first_north_s) / radar.scan_s - polar[:, 1] / (2 * np.pi)
+        left = turns - np.rint(turns)
+        speed = 1.0 / radar.scan_s - rate[:, 1] / (2 * np.pi)
+        seconds = np.clip(seconds - left / np.maximum(speed, 0.2 / radar.scan_s), truth.first_s[target], truth.last_s[target])
+    good = np.abs(left) < 1e-9
+    return target[good], seconds[good]
+
+
+def _rounded(values: FloatArray, quantum: float) -> FloatArray:
+    return np.rint(values / quantum) * quantum if quantum > 0 else values
+
+
+def _track_numbers(target: IntArray, seconds: FloatArray, longest_gap_s: float, rng: np.random.Generator) -> IntArray:
+    """Track numbers (n,) of plots in the order of time: a target's changes after a gap; no two tracks share one (below 4,096)."""
+    order = np.lexsort((seconds, target))
+    new = np.ones(len(order), np.bool_)
+    new[1:] = (np.diff(target[order]) != 0) | (np.diff(seconds[order]) > longest_gap_s)
+    numbers = rng.permutation(4095) + 1
+    out = np.empty(len(order), np.int64)
+    out[order] = numbers[(np.cumsum(new) - 1) % 4095]
+    return out
+
+
+def observe_radar(truth: Truth, radar: Radar, rng: np.random.Generator) -> Observation:
+    """The plots of one radar.
+
+    Source: METHODS section 6.  `time_offset` is applied exactly (the stamp is the true time plus the offset); all other terms by
+    their columns at the true geometry.
+    """
+    drawn = rng.uniform(0.0, radar.scan_s)
+    north = drawn if radar.first_north_s is None else radar.first_north_s
+    target, seconds = _passings(truth, radar, north)
+    stamp = truth.epoch_s + seconds + radar.time_offset_s + rng.normal(0.0, 1.0, len(target)) * radar.time_sd_s
+    if radar.time_quantum_s > 0:
+        stamp = _rounded(stamp, radar.time_quantum_s)
+    elif radar.time_sd_s == 0:
+        # A POSIX time has a resolution of 0.2 us: take the truth exactly when the stamp says.
+        seconds = np.clip((stamp - truth.epoch_s) - radar.time_offset_s, truth.first_s[target], truth.last_s[target])
+    noise = rng.normal(0.0, 1.0, (len(target), 3))
+    noise *= [radar.range_sd_m, math.radians(radar.azimuth_sd_deg), math.radians(radar.elevation_sd_deg or 0.0)]
+    seen = rng.random(len(target)) < radar.detection
+    geometry = geometry_at(truth, radar, target, seconds)
+    low, high = math.radians(radar.min_elevation_deg), math.radians(radar.max_elevation_deg)
+    seen &= (geometry.elevation_rad >= low) & (geometry.elevation_rad <= high)
+    seen &= (geometry.range_m >= radar.min_range_m) & (geometry.range_m <= radar.max_range_m)
+
+    measured = np.stack([geometry.range_m, geometry.azimuth_rad, geometry.elevation_rad], axis=1)
+    for name, value in radar.errors.items():
+        if name != "time_offset":
+            measured += value * TERMS[name].si_per_unit * TERMS[name].columns(geometry)
+    secondary = radar.kind != "psr"
+    if secondary:
+        measured[:, 0] += truth.aircraft.transponder_delay_m[target]
+    measured += noise
+    seen &= measured[:, 0] > 0
+
+    kept = np.flatnonzero(seen)
+    kept = kept[np.argsort(stamp[kept], kind="stable")]
+    target, seconds, stamp, measured, noise = target[kept], seconds[kept], stamp[kept], measured[kept], noise[kept]
+    plots = _plots(truth, radar, target, seconds, stamp, measured, rng)
+    marks = _north_marks(truth, radar, north)
+    if radar.false_plots > 0:
+        plots, target, seconds, noise = _with_false_plots(truth, radar, north, plots, target, seconds, noise, rng)
+    plots = plots.replace(record=np.arange(len(plots)))
+    return Observation(plots, target, seconds, noise, marks)
+
+
+def _plots(
+    truth: Truth,
+    radar: Radar,
+    target: IntArray,
+    seconds: FloatArray,
+    stamp: FloatArray,
+    measured: FloatArray,
+    rng: np.random.Generator,
+) -> Plots:
+    """The table of the measured values, with the identity that the radar's kind gives."""
+    craft = truth.aircraft
+    secondary, addressed = radar.kind != "psr", radar.kind in ("mode_s", "combined")
+    origin, rotation = site(radar)
+    azimuth = wrap_turn(_rounded(measured[:, 1], math.radians(radar.azimuth_quantum_deg)))
+    columns: dict[str, AnyArray] = {
+        "time_s": stamp,
+        "sensor": np.full(len(target), radar.sac << 8 | radar.sic),
+        "channel": np.full(len(target), _CHANNELS[radar.kind]),
+        "range_m": _rounded(measured[:, 0], radar.range_quantum_m),
+        "azimuth_rad": azimuth,
+        "track": _track_numbers(target, seconds, 5.5 * radar.scan_s, rng),
+    }
+    if radar.elevation_sd_deg is not None:
+        columns["elevation_rad"] = _rounded(measured[:, 2], math.radians(radar.elevation_quantum_deg))
+        if radar.height_from_elevation:
+            columns["height_m"] = geodetic_from_ecef(position_from_polar(measured, origin, rotation))[2]
+    if secondary:
+        position = truth.motion(target, seconds, derivatives=0).position
+        altitude = truth.geodetic(position)[2] + craft.altimetry_m[target]
+        quantum = craft.altitude_quantum_m[target]
+        columns["pressure_altitude_m"] = np.rint(altitude / quantum) * quantum
+        if radar.identity:
+            columns["mode_3a"] = craft.mode_3a[target]
+    if addressed and radar.identity:
+        columns["mode_s"] = craft.mode_s[target]
+        columns["callsign"] = craft.callsign[target]
+    return Plots(**columns)
+
+
+_CHANNELS = {"psr": Channel.PSR, "ssr": Channel.SSR, "mode_s": Channel.MODE_S, "combined": Channel.MODE_S_PSR}
+
+
+def _with_false_plots(
+    truth: Truth,
+    radar: Radar,
+    north: float,
+    plots: Plots,
+    target: IntArray,
+    seconds: FloatArray,
+    noise: FloatArray,
+    rng: np.random.Generator,
+) -> tuple[Plots, IntArray, FloatArray, FloatArray]:
+    """Merge in false plots: uniform over the covered area and over time, without identity, altitude or track."""
+    span = float(truth.last_s.max()) if len(truth) else 0.0
+    count = int(rng.poisson(radar.false_plots * span / radar.scan_s))
+    when = np.sort(rng.uniform(0.0, span, count))
+    inner, outer = radar.min_range_m**2, radar.max_range_m**2
+    elevation = rng.uniform(math.radians(radar.min_elevation_deg), math.radians(10.0), count)
+    false = Plots(
+        time_s=_rounded(truth.epoch_s + when + radar.time_offset_s, radar.time_quantum_s),
+        sensor=np.full(count, radar.sac << 8 | radar.sic),
+        channel=np.full(count, Channel.PSR if radar.kind in ("psr", "combined") else _CHANNELS[radar.kind]),
+        range_m=_rounded(np.sqrt(rng.uniform(inner, outer, count)), radar.range_quantum_m),
+        azimuth_rad=wrap_turn(_rounded(2 * np.pi * (when - north) / radar.scan_s, math.radians(radar.azimuth_quantum_deg))),
+        elevation_rad=elevation if radar.elevation_sd_deg is not None else np.full(count, np.nan),
+    )
+    both = Plots.concat([plots, false])
+    order = np.argsort(both.time_s, kind="stable")
+    return (
+        both.take(order),
+        np.concatenate([target, np.full(count, -1, np.int64)])[order],
+        np.concatenate([seconds, when])[order],
+        np.concatenate([noise, np.zeros((count, 3))])[order],
+    )
+
+
+def _north_marks(truth: Truth, radar: Radar, north: float) -> Marks:
+    """One north mark a turn, with the radar's position and its rotation period."""
+    span = float(truth.last_s.max()) if len(truth) else 0.0
+    when = north + radar.scan_s * np.arange(max(0, math.floor((span - north) / radar.scan_s) + 1))
+    n = len(when)
+    return Marks(
+        time_s=np.asarray(truth.epoch_s + when + radar.time_offset_s, np.float64),
+        sensor=np.full(n, radar.sac << 8 | radar.sic),
+        azimuth_rad=np.full(n, np.nan),
+        rotation_s=np.full(n, radar.scan_s),
+        latitude_rad=np.full(n, math.radians(radar.lat_deg)),
+        longitude_rad=np.full(n, math.radians(radar.lon_deg)),
+        height_m=np.full(n, radar.height_m),
+    )
+
+
+def _wander(seconds: FloatArray, span_s: float, correlation_s: float, rng: np.random.Generator) -> FloatArray:
+    """A Gauss-Markov process (n, 2) of unit variance at times (n,), between values every fortieth of its correlation time."""
+    step = correlation_s / 40
+    count = int(span_s / step) + 3
+    keep = math.exp(-step / correlation_s)
+    draws = rng.normal(0.0, 1.0, (count, 2))
+    walk = np.empty((count, 2))
+    walk[0] = draws[0]
+    for k in range(1, count):
+        walk[k] = keep * walk[k - 1] + math.sqrt(1 - keep * keep) * draws[k]
+    grid = step * np.arange(count)
+    return np.stack([np.interp(seconds, grid, walk[:, axis]) for axis in (0, 1)], axis=1)
+
+
+def _without_gaps(seconds: FloatArray, span_s: float, adsb: Adsb, rng: np.random.Generator) -> BoolArray:
+    """Which times lie in no gap."""
+    count = int(rng.poisson(span_s / adsb.gap_every_s)) if adsb.gap_every_s > 0 else 0
+    begin = rng.uniform(0.0, max(span_s, 1e-9), count)
+    length = rng.exponential(max(adsb.gap_s, 1e-9), count)
+    kept = np.ones(len(seconds), np.bool_)
+    for b, duration in zip(begin, length, strict=True):
+        kept &= (seconds < b) | (seconds > b + duration)
+    return kept
+
+
+def observe_adsb(truth: Truth, adsb: Adsb, rng: np.random.Generator) -> tuple[Fixes, IntArray]:
+    """The reports of all aircraft that have ADS-B, in the order of their stamps, and each report's target (n,)."""
+    targets: list[IntArray] = []
+    stamps: list[FloatArray] = []
+    errors: list[FloatArray] = []
+    craft = truth.aircraft
+    for k, own in enumerate(rng.spawn(len(truth))):
+        span = float(truth.last_s[k] - truth.first_s[k])
+        if craft.accuracy[k] < 0 or span < 2.0:
+            continue
+        mean = float(craft.interval_s[k])
+        stamp = truth.first_s[k] + np.cumsum(mean * own.uniform(0.9, 1.1, int(span / (0.9 * mean)) + 1))
+        stamp = _rounded(truth.epoch_s + stamp, adsb.time_quantum_s) - truth.epoch_s
+        applies = stamp - craft.latency_s[k]
+        kept = (own.random(len(stamp)) >= adsb.loss) & _without_gaps(stamp - truth.first_s[k], span, adsb, own)
+        wander = _wander(stamp - truth.first_s[k], span + 2.0, adsb.correlation_s, own)
+        white = own.normal(0.0, 1.0, (len(stamp), 6))
+        error = np.empty((len(stamp), 6))
+        sd = float(accuracy_sd_m(craft.accuracy[k : k + 1])[0])
+        error[:, :2] = sd * (math.sqrt(adsb.correlated) * wander + math.sqrt(1 - adsb.correlated) * white[:, :2])
+        error[:, 2] = adsb.height_sd_m * white[:, 2]
+        error[:, 3:] = adsb.velocity_sd_mps * white[:, 3:]
+        kept &= (applies >= truth.first_s[k]) & (applies <= truth.last_s[k])
+        targets.append(np.full(np.count_nonzero(kept), k, np.int64))
+        stamps.append(stamp[kept])
+        errors.append(error[kept])
+    if not targets:
+        return Fixes(), np.empty(0, np.int64)
+    target, stamp, error = np.concatenate(targets), np.concatenate(stamps), np.concatenate(errors)
+    order = np.argsort(stamp, kind="stable")
+    target, stamp, error = target[order], stamp[order], error[order]
+
+    motion = truth.motion(target, stamp - craft.latency_s[target], derivatives=1)
+    latitude, longitude, height = geodetic_from_ecef(motion.position)
+    rotation = enu_from_ecef(latitude, longitude)
+    shifted = motion.position + np.einsum("nij,ni->nj", rotation[:, :2], error[:, :2])
+    velocity = rotate(rotation, motion.velocity) + error[:, 3:]
+    quantum = craft.altitude_quantum_m[target]
+    altitude = truth.atmosphere.pressure_m(height) + craft.altimetry_m[target]
+    latitude, longitude, _ = geodetic_from_ecef(shifted)
+    known, nobody = adsb.identity, np.full(len(target), -1)
+    accuracy = craft.accuracy[target]
+    fixes = Fixes(
+        time_s=truth.epoch_s + stamp,
+        source=np.full(len(target), adsb.sac << 8 | adsb.sic),
+        channel=np.full(len(target), Channel.ADS_B),
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        height_m=np.rint((height + error[:, 2]) / _HEIGHT_QUANTUM_M) * _HEIGHT_QUANTUM_M,
+        pressure_altitude_m=np.rint(altitude / quantum) * quantum,
+        velocity_east_mps=velocity[:, 0],
+        velocity_north_mps=velocity[:, 1],
+        velocity_up_mps=velocity[:, 2],
+        mode_s=craft.mode_s[target] if known else nobody,
+        mode_3a=craft.mode_3a[target] if known else nobody,
+        callsign=craft.callsign[target] if known else nobody,
+        track=rng.permutation(4095)[target] + 1,
+        horizontal_sd_m=accuracy_sd_m(accuracy),
+        vertical_sd_m=np.full(len(target), adsb.height_sd_m),
+        flags=np.full(len(target), int(Flag.TIME_OF_RECEPTION)),
+        record=np.arange(len(target)),
+    )
+    return fixes, target
