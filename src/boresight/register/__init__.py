@@ -1,0 +1,248 @@
+"""Registration: from pairs of plots and reference positions to a radar's systematic errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from .._types import FloatArray, IntArray
+from ..calibration import Accuracy, Calibration, Noise, NotDetermined, Summary, TermKey
+from ..errors import NothingToDo, SettingsError
+from ..model import Pairs, Sensor, Sensors
+from ..terms import MODELS, TERMS, Term, terms_of
+from .least_squares import GROUND_KINDS, Dropped, Fit, LeastSquares, accuracy, check_settings, default_model, fit
+from .observe import Observed, fill_lengths, observe, unusable
+
+__all__ = ["LeastSquares", "fill_lengths", "register"]
+
+_EXTENT = ("along_heading", "along_heading_per_length")
+
+
+class _Found(NamedTuple):
+    seen: Observed
+    fitted: Fit
+    summary: Summary
+    not_determined: list[NotDetermined]
+
+
+def register(
+    pairs: Pairs, sensors: Sensors, *, model: str | Sequence[str] = "auto", settings: LeastSquares | None = None
+) -> Calibration:
+    """Find the systematic errors of every sensor in `pairs`.
+
+    `model` is "auto" (each sensor's own `model`, else by its kind), the name of a model, a comma-separated list of terms, or a list of
+    names.  Each sensor's values depend on its own pairs only; the covariance is joint, because the sensors see the same targets.  Terms
+    that the data cannot give are named in `not_determined`.  bias = measured - true (METHODS sections 4, 6).
+
+    Raises SettingsError for unknown terms, settings that make no sense, or a sensor without a position; NothingToDo where no pair can
+    be used or no error of any sensor determined.
+    """
+    settings = LeastSquares() if settings is None else settings
+    check_settings(settings)
+    if not isinstance(model, str) or model != "auto":
+        terms_of(model)
+    if not len(pairs):
+        raise NothingToDo("there are no pairs of plots and reference positions", remedy="Do the recordings share time and area?")
+    pairs = fill_lengths(pairs)
+    warnings: list[str] = []
+    bad = unusable(pairs)
+    usable = np.ones(len(pairs), bool)
+    for reason, rows in bad.items():
+        usable &= ~rows
+        warnings.append(f"{rows.sum():,} of {len(pairs):,} pairs were left out: {reason}")
+    if not usable.any():
+        raise NothingToDo(f"none of the {len(pairs):,} pairs can be used: {'; '.join(warnings)}")
+    epoch = float(np.floor(pairs.plots.time_s[usable].min()))
+    found: list[_Found] = []
+    failed: list[str] = []
+    for key in np.unique(pairs.plots.sensor[usable]).tolist():
+        sensor = sensors.find(int(key))
+        if sensor is None:
+            raise SettingsError(
+                f"the pairs hold a sensor {key >> 8}/{key & 255} that has no entry", where="sensors.toml", remedy="Add a [[sensor]]."
+            )
+        rows = np.flatnonzero(usable & (pairs.plots.sensor == key))
+        try:
+            found.append(_one(pairs, rows, sensor, epoch, model, settings))
+        except NothingToDo as error:
+            failed.append(str(error))
+    if not found:
+        raise NothingToDo("; ".join(failed))
+    order = {s.key: k for k, s in enumerate(sensors)}
+    found.sort(key=lambda f: order[f.summary.sensor])
+    return Calibration(
+        terms=tuple(TermKey(f.summary.sensor, "all", t.name, t.unit) for f in found for t in f.fitted.terms),
+        epoch_s=np.array([epoch]),
+        value=np.concatenate([f.fitted.value for f in found])[None],
+        covariance=_joint(found)[None],
+        sensors=tuple(f.summary for f in found),
+        not_determined=tuple(n for f in found for n in f.not_determined),
+        warnings=tuple([*warnings, *failed]),
+        settings={"method": "least-squares", **msgspec.structs.asdict(settings)},
+    )
+
+
+def _one(
+    pairs: Pairs, rows: IntArray, sensor: Sensor, epoch: float, model: str | Sequence[str], settings: LeastSquares
+) -> _Found:
+    """One sensor's registration and what is said of it."""
+    seen = observe(pairs, rows, sensor, epoch)
+    name, wanted = _wanted(sensor, model)
+    terms, dropped, notes = _fitting(wanted, seen)
+    if not terms:
+        raise NothingToDo(f"sensor {sensor.name!r}: no error can be determined: {'; '.join(d.why for d in dropped)}")
+    lengths = seen.length_m
+    if any(t.name == "along_heading_per_length" for t in terms):
+        typical = float(np.nanmedian(lengths))
+        unknown = ~np.isfinite(lengths)
+        if unknown.any():
+            notes.append(f"{unknown.sum():,} pairs are of targets of unknown length: {typical:.0f} m, the median, is taken")
+            seen = _with_length(seen, np.where(unknown, typical, lengths))
+    fitted = fit(seen, terms, settings)
+    dropped += fitted.dropped
+    notes += [*(d.note for d in fitted.dropped if d.note), *fitted.notes]
+    names = {t.name for t in fitted.terms}
+    if sensor.kind in GROUND_KINDS and "time_offset" in names and not names & set(_EXTENT):
+        if not any(d.term in _EXTENT for d in dropped):
+            dropped.append(
+                Dropped("along_heading", "not in the model, and confounded with time_offset: both move the plots along the track")
+            )
+        speed = float(np.median(np.sqrt((seen.velocity**2).sum(axis=1))))
+        notes.append(
+            "time_offset is confounded with the extent of the targets, which the model lacks: an echo 10 m behind the reference's "
+            f"antenna looks like {10 / max(speed, 0.1):+.2f} s at the median speed of {speed:.0f} m/s"
+        )
+    if "range_bias" in names and sensor.kind not in GROUND_KINDS:
+        notes.append("range_bias holds the common part of the transponders' delays, which nothing can tell from it")
+    before, after, held = accuracy(seen, fitted)
+    noise = fitted.noise_sd
+    summary = Summary(
+        sensor=sensor.key,
+        name=sensor.name,
+        model=name,
+        noise=Noise(float(noise[0]), float(noise[1]), float(noise[2])),
+        plots=len(seen),
+        tracks=len(np.unique(pairs.track[rows])),
+        targets=len(seen.cluster_key),
+        before=_accuracy(before),
+        after=_accuracy(after),
+        held_out_before_median_m=_accuracy(before[np.isfinite(held)]).median_m,
+        held_out_after_median_m=_accuracy(held).median_m,
+        held_out_before_p95_m=_accuracy(before[np.isfinite(held)]).p95_m,
+        held_out_after_p95_m=_accuracy(held).p95_m,
+        notes=tuple(notes),
+    )
+    return _Found(seen, fitted, summary, [NotDetermined(sensor.key, d.term, d.why) for d in dropped])
+
+
+def _with_length(seen: Observed, length: FloatArray) -> Observed:
+    from dataclasses import replace
+
+    return replace(seen, length_m=length)
+
+
+def _wanted(sensor: Sensor, model: str | Sequence[str]) -> tuple[str, tuple[Term, ...]]:
+    """Name and terms of the model for this sensor."""
+    if isinstance(model, str) and model == "auto":
+        model = sensor.model if sensor.model is not None and sensor.model != "auto" else default_model(sensor)
+    terms = terms_of(model)
+    if isinstance(model, str) and model in MODELS:
+        return model, terms
+    return ",".join(t.name for t in terms), terms
+
+
+def _fitting(wanted: Sequence[Term], seen: Observed) -> tuple[tuple[Term, ...], list[Dropped], list[str]]:
+    """The terms whose needs are met; why others are not; what is to be said."""
+    terms: list[Term] = []
+    dropped: list[Dropped] = []
+    notes: list[str] = []
+    heading = np.isfinite(seen.heading_rad)
+    length = float(np.mean(np.isfinite(seen.length_m[heading]))) if heading.any() else 0.0
+    for term in wanted:
+        if "elevation" in term.needs and not seen.has_elevation:
+            dropped.append(Dropped(term.name, "the sensor measures no elevation"))
+        elif "heading" in term.needs and not heading.any():
+            dropped.append(Dropped(term.name, "no target's heading is known: none carries one or moves faster than 3 m/s"))
+        elif "length" in term.needs and length < 0.5:
+            known = "no target's length is known" if length == 0 else f"the length of only {100 * length:.0f} % of the targets' plots is known"
+            dropped.append(Dropped(term.name, f"{known}; along_heading, the same for all, takes its place"))
+            if not any(t.name == "along_heading" for t in wanted):
+                terms.append(TERMS["along_heading"])
+                notes.append(f"{known}: along_heading, one extent for all, is fitted in place of {term.name}")
+        else:
+            terms.append(term)
+    return tuple(terms), dropped, notes
+
+
+def _accuracy(distance: FloatArray) -> Accuracy:
+    good = distance[np.isfinite(distance)]
+    if not len(good):
+        return Accuracy(float("nan"), float("nan"))
+    median, p95 = np.percentile(good, [50, 95])
+    return Accuracy(float(median), float(p95))
+
+
+def _joint(found: Sequence[_Found]) -> FloatArray:
+    """The covariance (p, p) over all sensors' terms.
+
+    A target's own errors (its reference's offset and latency, its transponder) enter every sensor's estimate.  How much of
+    them the sensors share is estimated from the products of their scores over common targets.
+    """
+    sizes = [len(f.fitted.terms) for f in found]
+    edges = np.r_[0, np.cumsum(sizes)]
+    out = np.zeros((edges[-1], edges[-1]))
+    grow = []
+    for k, f in enumerate(found):
+        own = slice(edges[k], edges[k + 1])
+        out[own, own] = f.fitted.covariance
+        root, model_root = (_scaled_cholesky(c, f.fitted.terms) for c in (f.fitted.covariance, f.fitted.model_covariance))
+        grow.append(root @ np.linalg.inv(model_root))
+    for i in range(len(found)):
+        for j in range(i + 1, len(found)):
+            cross = grow[i] @ _cross(found[i], found[j]) @ grow[j].T
+            out[edges[i] : edges[i + 1], edges[j] : edges[j + 1]] = cross
+            out[edges[j] : edges[j + 1], edges[i] : edges[i + 1]] = cross.T
+    if len(found) > 2:
+        # Shares are estimated pair by pair; together they could contradict each other.
+        sd = np.sqrt(np.diag(out))
+        value, axes = np.linalg.eigh(out / sd[:, None] / sd)
+        if value.min() < 1e-9:
+            fixed = (axes * np.maximum(value, 1e-9)) @ axes.T
+            size = np.sqrt(np.diag(fixed))
+            out = fixed / size[:, None] / size * sd[:, None] * sd
+    return (out + out.T) / 2
+
+
+def _scaled_cholesky(covariance: FloatArray, terms: Sequence[Term]) -> FloatArray:
+    size = np.array([t.prior_sd for t in terms])
+    root: FloatArray = np.linalg.cholesky(covariance / size[:, None] / size) * size[:, None]
+    return root
+
+
+def _cross(one: _Found, two: _Found) -> FloatArray:
+    """The model's covariance (p1, p2) between two sensors' values, from the effects that they share."""
+    from scipy.optimize import nnls
+
+    a, b = one.fitted, two.fitted
+    _, i, j = np.intersect1d(one.seen.cluster_key, two.seen.cluster_key, assume_unique=True, return_indices=True)
+    # Negative keys are tracks of one radar, which no other knows.
+    common = one.seen.cluster_key[i] >= 0
+    i, j = i[common], j[common]
+    names = [n for n in a.effect_names if n in b.effect_names]
+    if len(i) < 2 or not names:
+        return np.zeros((len(a.terms), len(b.terms)))
+    ka, kb = [a.effect_names.index(n) for n in names], [b.effect_names.index(n) for n in names]
+    limit = np.sqrt(a.effect_variance[ka] * b.effect_variance[kb])
+    scale = np.sqrt(np.maximum(limit, 1e-300))
+    products = (a.scores[i][:, ka] * b.scores[j][:, kb]).sum(axis=0) * scale**2
+    matrix = (a.information[i][:, ka][:, :, ka] * b.information[j][:, kb][:, :, kb]).sum(axis=0) * np.outer(scale**2, scale**2)
+    size = np.maximum(np.diag(matrix), 1e-300)
+    share = np.minimum(nnls(matrix / size[:, None], products / size)[0], 1.0)
+    shared = share * limit
+    left = a.model_covariance @ np.swapaxes(a.influence[i][:, ka], 1, 2)
+    right = b.influence[j][:, kb] @ b.model_covariance
+    cross: FloatArray = np.einsum("gpk,k,gkq->pq", left, shared, right)
+    return cross

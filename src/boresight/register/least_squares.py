@@ -1,0 +1,723 @@
+"""Registration by joint robust nonlinear least squares in measurement space (METHODS sections 4 and 6).
+
+One model of named terms over all channels of a sensor, linearised anew with the target's own motion (a time offset of 2 s is 500 m,
+not small), solved by Gauss-Newton.  Gross errors lose their weight; what is alike within a target is modelled as such
+(`mixed`), so that the covariance is honest; what the data cannot determine is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from .._types import BoolArray, FloatArray, IntArray
+from ..errors import NothingToDo, SettingsError
+from ..model import Sensor
+from ..terms import DEG, TERMS, Term
+from . import mixed
+from .observe import Observed, chunks, distances, linearise
+
+GROUND_KINDS = ("surface", "marine")
+# Which term of an inseparable pair stays: the earlier one (METHODS section 6: range, azimuth, time, extent).
+_ORDER = (
+    "range_bias", "azimuth_bias", "elevation_bias", "range_gain", "azimuth_cos", "azimuth_sin", "tilt_north", "tilt_east",
+    "time_offset", "along_heading_per_length", "along_heading", "site_east", "site_north", "site_up",
+)  # fmt: skip
+_EXTENT = ("along_heading", "along_heading_per_length")
+# Plots that the robust start is found on, and short blocks that the variance components are estimated on.
+_START_PLOTS = 60_000
+_VARIANCE_BLOCKS = 4_000
+_BATCH_BLOCKS = 2_000
+_FOLDS = 5
+
+
+class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings of the joint robust least squares.
+
+    A pair keeps its full weight up to `soft_sd` standard deviations and has none beyond `hard_sd`.  Two terms whose estimates
+    correlate by `max_correlation` or more cannot be told apart; nor can a term of whose column less than `rank_tolerance` remains
+    once the others are taken out.  `short_block_s` and `long_block_s` are the times over which slowly wandering errors are taken as
+    constant (0: by the kind of sensor).
+    """
+
+    soft_sd: float = 3.0
+    hard_sd: float = 6.0
+    max_correlation: float = 0.95
+    rank_tolerance: float = 1e-2
+    short_block_s: float = 0.0
+    long_block_s: float = 0.0
+    max_iterations: int = 40
+
+
+def check_settings(settings: LeastSquares) -> None:
+    """Raise SettingsError for settings that make no sense."""
+    for name, ok, remedy in (
+        ("soft_sd", settings.soft_sd > 0, "Give a positive number of standard deviations."),
+        ("hard_sd", settings.hard_sd > settings.soft_sd, "Give more standard deviations than soft_sd."),
+        ("max_correlation", 0 < settings.max_correlation <= 1, "Give a correlation within 0 … 1."),
+        ("rank_tolerance", 0 < settings.rank_tolerance < 1, "Give a share within 0 … 1."),
+        ("short_block_s", settings.short_block_s >= 0, "Give seconds, or 0 for the default."),
+        ("long_block_s", settings.long_block_s >= 0, "Give seconds, or 0 for the default."),
+        ("max_iterations", settings.max_iterations >= 1, "Give at least 1."),
+    ):
+        if not ok:
+            raise SettingsError(f"{name} = {getattr(settings, name)} makes no sense", where="settings", remedy=remedy)
+
+
+class _Effect(NamedTuple):
+    """A random effect: the column of this term, its variance component, and its typical sd (SI)."""
+
+    term: str
+    group: int
+    sd: float
+
+
+class _Kind(NamedTuple):
+    """What is assumed of a kind of sensor before its data speak: noise sd, effects by level, block times."""
+
+    noise: tuple[float, float, float]
+    levels: tuple[tuple[_Effect, ...], ...]
+    block_s: tuple[float, float]
+
+
+_AIR = _Kind(
+    (40.0, 0.08 * DEG, 0.2 * DEG),
+    (
+        (
+            _Effect("range_bias", 0, 8.0), _Effect("azimuth_bias", 1, 0.015 * DEG),
+            _Effect("site_east", 2, 8.0), _Effect("site_north", 2, 8.0),
+        ),
+        (
+            _Effect("range_bias", 0, 8.0), _Effect("azimuth_bias", 1, 0.015 * DEG),
+            _Effect("site_east", 2, 8.0), _Effect("site_north", 2, 8.0),
+        ),
+        (
+            _Effect("range_bias", 0, 10.0), _Effect("azimuth_bias", 1, 0.015 * DEG),
+            _Effect("site_east", 2, 10.0), _Effect("site_north", 2, 10.0), _Effect("time_offset", 3, 0.1),
+        ),
+    ),
+    (100.0, 500.0),
+)  # fmt: skip
+_AIR_ELEVATION = (
+    (_Effect("elevation_bias", 0, 0.03 * DEG),),
+    (_Effect("elevation_bias", 0, 0.03 * DEG),),
+    (_Effect("elevation_bias", 0, 0.03 * DEG), _Effect("site_up", 1, 15.0)),
+)
+_GROUND = _Kind(
+    (3.0, 0.15 * DEG, 0.5 * DEG),
+    (
+        (
+            _Effect("range_bias", 0, 1.0), _Effect("azimuth_bias", 1, 0.05 * DEG),
+            _Effect("site_east", 2, 2.0), _Effect("site_north", 2, 2.0),
+        ),
+        (
+            _Effect("range_bias", 0, 1.0), _Effect("azimuth_bias", 1, 0.05 * DEG),
+            _Effect("site_east", 2, 2.0), _Effect("site_north", 2, 2.0),
+        ),
+        (
+            _Effect("range_bias", 0, 1.0), _Effect("azimuth_bias", 1, 0.05 * DEG),
+            _Effect("site_east", 2, 2.0), _Effect("site_north", 2, 2.0), _Effect("time_offset", 3, 0.2),
+            _Effect("along_heading", 4, 4.0),
+        ),
+    ),
+    (20.0, 100.0),
+)  # fmt: skip
+
+
+class Dropped(NamedTuple):
+    """A term that could not be determined, why, and what is to be said of the term that takes its place ("" for nothing)."""
+
+    term: str
+    why: str
+    kept: str = ""
+    note: str = ""
+
+
+class Fit(NamedTuple):
+    """One sensor's solution, SI.
+
+    `value` (p,), `covariance` (p, p) and the model's own `model_covariance`; `noise_sd` (3,), NaN where not measured; `weight` (n,) of
+    each pair; `effective` the effective number of targets; `effect_names`, `effect_variance` (w,) and `scores` (G, w) with
+    `information` (G, w, w) and `influence` (G, w, p) of what the sensors share in one target; `held_out` (G, p) the value
+    found without the fold of each target.
+    """
+
+    terms: tuple[Term, ...]
+    value: FloatArray
+    covariance: FloatArray
+    model_covariance: FloatArray
+    noise_sd: FloatArray
+    weight: FloatArray
+    effective: float
+    effect_names: tuple[str, ...]
+    effect_variance: FloatArray
+    scores: FloatArray
+    information: FloatArray
+    influence: FloatArray
+    held_out: FloatArray
+    dropped: tuple[Dropped, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """How one sensor's rows fall into short blocks, long blocks and targets, and which effects each level has.
+
+    `block` (B + 1,) is the first row of each short block; `long` the first short block of each long one; `target` the first long
+    block of each target; `target_block` (G + 1,) the first short block of each target.
+    """
+
+    block: IntArray
+    long: IntArray
+    target: IntArray
+    target_block: IntArray
+    effects: tuple[tuple[_Effect, ...], ...]
+    channels: int
+
+    @property
+    def groups(self) -> tuple[IntArray, ...]:
+        return tuple(np.array([e.group for e in level], np.int64) for level in self.effects)
+
+    @property
+    def guess(self) -> tuple[FloatArray, ...]:
+        """The typical variances of the groups of each level."""
+        return tuple(
+            np.array([next(e.sd for e in level if e.group == g) ** 2 for g in sorted({e.group for e in level})])
+            for level in self.effects
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """What the iterations carry: the value, the variances, how much of the reference's variance is fast, scale and trust."""
+
+    value: FloatArray
+    variances: mixed.Variances
+    reference_share: float
+    spread: FloatArray
+    trust: FloatArray
+
+
+def fit(seen: Observed, terms: Sequence[Term], settings: LeastSquares) -> Fit:
+    """The errors of one sensor.
+
+    Raises NothingToDo where not one term can be determined.
+    """
+    kind = _kind(seen)
+    layout = _layout(seen, kind, settings)
+    chosen, dropped = tuple(terms), []
+    start = _robust_start(seen, layout, kind, chosen, settings)
+    while True:
+        bad = _rank_deficient(seen, layout, chosen, start, settings)
+        if bad is None:
+            state, reduced, weight = _iterate(seen, layout, kind, chosen, start, settings)
+            bad = _inseparable(reduced.terms, chosen, settings)
+        if bad is None:
+            break
+        dropped.append(bad)
+        keep = [k for k, term in enumerate(chosen) if term.name != bad.term]
+        chosen = tuple(chosen[k] for k in keep)
+        if not chosen:
+            raise NothingToDo(f"sensor {seen.sensor.name!r}: no error can be determined: {bad.why}")
+        start = _robust_start(seen, layout, kind, chosen, settings)
+    return _finish(seen, layout, chosen, state, reduced, weight, dropped, settings)
+
+
+def _kind(seen: Observed) -> _Kind:
+    kind = _GROUND if seen.sensor.kind in GROUND_KINDS else _AIR
+    s = seen.sensor
+    noise = (
+        s.range_sd_m or kind.noise[0],
+        (s.azimuth_sd_deg * DEG) if s.azimuth_sd_deg else kind.noise[1],
+        (s.elevation_sd_deg * DEG) if s.elevation_sd_deg else kind.noise[2],
+    )
+    return kind._replace(noise=noise)
+
+
+def _layout(seen: Observed, kind: _Kind, settings: LeastSquares) -> _Layout:
+    short, long = settings.short_block_s or kind.block_s[0], settings.long_block_s or kind.block_s[1]
+    n, time = len(seen), seen.time_s
+    changes = np.flatnonzero(np.diff(seen.cluster)) + 1
+    target_row = np.r_[0, changes]
+    since = time - np.repeat(time[target_row], np.diff(np.r_[target_row, n]))
+    # A slow radar would have few plots in a block; blocks of fewer than about 12 cost more than they tell.
+    steps = np.diff(time)[np.diff(seen.cluster) == 0]
+    step = float(np.median(steps)) if len(steps) else 0.0
+    short = max(short, 12 * step) if step > 0 else short
+    long = max(long, 3 * short)
+    long_number = np.floor(since / long).astype(np.int64)
+    short_number = np.floor((since - long_number * long) / short).astype(np.int64)
+    new_target = np.zeros(n, bool)
+    new_target[target_row] = True
+    new_long = new_target | np.r_[True, np.diff(long_number) != 0]
+    new_short = new_long | np.r_[True, np.diff(short_number) != 0]
+    block = np.flatnonzero(new_short)
+    long_row = np.flatnonzero(new_long)
+    target_block = np.searchsorted(block, target_row)
+    effects = list(kind.levels)
+    if seen.has_elevation:
+        for k, more in enumerate(_AIR_ELEVATION):
+            last = max(e.group for e in effects[k]) + 1
+            effects[k] = effects[k] + tuple(e._replace(group=e.group + last) for e in more)
+    if not np.isfinite(seen.heading_rad).any():
+        effects = [tuple(e for e in level if e.term not in _EXTENT) for level in effects]
+    return _Layout(
+        block=np.r_[block, n],
+        long=np.searchsorted(block, long_row),
+        target=np.searchsorted(long_row, target_row),
+        target_block=np.r_[target_block, len(block)],
+        effects=tuple(effects),
+        channels=3 if seen.has_elevation else 2,
+    )
+
+
+def _robust(u: FloatArray, settings: LeastSquares) -> FloatArray:
+    """The weight at u standard deviations: 1 up to `soft_sd`, then falling smoothly to nothing at `hard_sd`."""
+    soft, hard = settings.soft_sd, settings.hard_sd
+    far = np.clip((u - soft) / (hard - soft), 0.0, 1.0)
+    weight: FloatArray = np.where(u <= soft, 1.0, soft / np.maximum(u, soft) * (1 - far * far) ** 2)
+    return weight
+
+
+def _row_variance(
+    seen: Observed, rows: slice | IntArray, z: Sequence[FloatArray], layout: _Layout, variances: mixed.Variances, share: float
+) -> FloatArray:
+    """What one plot's residuals (n, channels) vary by, all effects included."""
+    k = layout.channels
+    total = variances.noise[:k] / seen.weight[rows, None] + share * seen.reference_variance[rows, :k]
+    for columns, level, variance in zip(z, layout.effects, variances.effects, strict=True):
+        d = variance[np.array([e.group for e in level], np.int64)]
+        total = total + (columns[:, :k, :] ** 2) @ d
+    return np.asarray(total)
+
+
+def _effect_columns(layout: _Layout, place: object) -> list[FloatArray]:
+    """The random columns (n, 3, w) of each level."""
+    cache: dict[str, FloatArray] = {}
+    out = []
+    for level in layout.effects:
+        for e in level:
+            if e.term not in cache:
+                cache[e.term] = TERMS[e.term].columns(place)  # type: ignore[arg-type]
+        out.append(np.stack([cache[e.term] for e in level], axis=2))
+    return out
+
+
+def _row_weights(u: FloatArray, present: BoolArray, settings: LeastSquares, *, convex: bool) -> FloatArray:
+    """Weights (n, channels) from standardised residuals: a pair that is wrong in range or azimuth is wrong altogether."""
+    size = np.where(present, np.abs(u), 0.0)
+    worst = size[:, :2].max(axis=1)
+    size = np.concatenate([np.tile(worst[:, None], (1, 2)), np.maximum(size[:, 2:], worst[:, None])], axis=1)
+    if convex:
+        weight = 1.5 / np.maximum(size, 1.5)
+    else:
+        weight = _robust(size, settings)
+    return np.where(present, weight, 0.0)
+
+
+def _robust_start(
+    seen: Observed, layout: _Layout, kind: _Kind, terms: tuple[Term, ...], settings: LeastSquares
+) -> _State:
+    """A first solution that gross errors do not reach: plain least squares, first with Huber's convex loss, then redescending.
+
+    The effects only widen each plot's variance here.  The scale of the residuals is their median's.
+    """
+    n, p, c = len(seen), len(terms), layout.channels
+    rows = np.arange(n) if n <= _START_PLOTS else np.arange(0, n, n // _START_PLOTS)
+    variances = mixed.Variances(np.array(kind.noise[:c]) ** 2, layout.guess)
+    prior_sd = np.array([t.prior_sd for t in terms])
+    value, spread = np.zeros(p), np.ones(c)
+    late = 0
+    for number in range(settings.max_iterations):
+        a, b, sizes = np.diag(np.ones(p)), -value / prior_sd, [[] for _ in range(c)]  # type: ignore[var-annotated]
+        pieces = []
+        for part in chunks(len(rows)):
+            place, r, x = linearise(seen, rows[part], terms, value)
+            s = np.sqrt(_row_variance(seen, rows[part], _effect_columns(layout, place), layout, variances, 1.0))
+            present = np.isfinite(r[:, :c])
+            u = np.where(present, r[:, :c], 0.0) / s
+            for k in range(c):
+                sizes[k].append(np.abs(u[present[:, k], k]))
+            pieces.append((u, present, x[:, :c] * prior_sd, s))
+        spread = np.array([1.4826 * np.median(np.concatenate(q)) if sum(map(len, q)) else 1.0 for q in sizes])
+        spread = np.maximum(spread, 1e-3)
+        convex = number < 6 or late == 0
+        for u, present, x, s in pieces:
+            w = _row_weights(u / spread, present, settings, convex=convex)
+            xs = x / s[:, :, None]
+            inv = w / spread**2
+            a += np.einsum("nki,nk,nkj->ij", xs, inv, xs, optimize=True)
+            b += np.einsum("nki,nk->i", xs, inv * u)
+        step = np.linalg.solve(a, b)
+        value = value + step * prior_sd
+        done = bool(np.all(np.abs(step) <= 0.02 / np.sqrt(np.diag(a)) + 1e-9))
+        late = late + 1 if done or number >= 10 else late
+        if done and not convex:
+            break
+    return _State(value, variances, _reference_share(seen, terms, value), spread, np.ones(len(layout.target)))
+
+
+def _reference_share(seen: Observed, terms: tuple[Term, ...], value: FloatArray) -> float:
+    """How much of the variance that the reference states of itself changes from plot to plot, 0 … 1.
+
+    Stated accuracies (NACp and the like) are mostly slow errors of a receiver, which belong to the target, not to the noise of the
+    radar.  The squared differences of successive residuals tell: they are regressed on the stated variance, with 1 as the guess where
+    the data say little.
+    """
+    rows = np.arange(min(len(seen), _START_PLOTS))
+    if len(rows) < 3:
+        return 1.0
+    pairs = np.flatnonzero((np.diff(seen.cluster[rows]) == 0) & (np.diff(seen.time_s[rows]) > 0))
+    _, r, _ = linearise(seen, rows, terms, value)
+    stated = seen.reference_variance[rows]
+    top, bottom, limit = 0.0, 0.0, 1.0
+    for k in range(2):
+        y = (r[pairs, k] - r[pairs + 1, k]) ** 2 / 2
+        x = (stated[pairs, k] + stated[pairs + 1, k]) / 2
+        if len(y) < 20 or not x.any():
+            continue
+        typical = float(np.median(y)) / 0.455
+        good = y <= 12 * typical
+        y, x = y[good], x[good]
+        level = float(y.mean())
+        if level <= 0 or x.mean() <= 0:
+            continue
+        limit = min(limit, 0.9 * level / float(x.mean()))
+        w = 1.0 / (2 * level**2)  # the variance of half a squared difference
+        xc = x - x.mean()
+        # Successive residuals of one target are alike in many ways: count a tenth of them.
+        top += 0.1 * w * float(xc @ (y - level))
+        bottom += 0.1 * w * float(xc @ xc)
+    share = (top + 4.0) / (bottom + 4.0)
+    return float(np.clip(share, 0.0, limit))
+
+
+def _products(
+    seen: Observed,
+    layout: _Layout,
+    terms: tuple[Term, ...],
+    state: _State,
+    settings: LeastSquares,
+    targets: IntArray,
+    weight_out: FloatArray | None = None,
+) -> mixed.Products:
+    """The cross products of the given targets (sorted), at the state's value and with its weights."""
+    p, c = len(terms), layout.channels
+    prior_sd = np.array([t.prior_sd for t in terms])
+    widths = [len(level) for level in layout.effects]
+    width = sum(widths) + p + 1
+    blocks = np.concatenate([np.arange(layout.target_block[g], layout.target_block[g + 1]) for g in targets])
+    out = np.zeros((c, len(blocks), width, width))
+    count = np.zeros(c)
+    # Whole blocks at a time, about a chunk of rows.
+    size = layout.block[blocks + 1] - layout.block[blocks]
+    piece = np.cumsum(size) // (1 << 14)
+    edges = np.r_[np.flatnonzero(np.r_[True, np.diff(piece) != 0]), len(blocks)]
+    for lo, hi in zip(edges[:-1], edges[1:], strict=True):
+        own = blocks[lo:hi]
+        rows = np.concatenate([np.arange(layout.block[b], layout.block[b + 1]) for b in own])
+        place, r, x = linearise(seen, rows, terms, state.value)
+        z = _effect_columns(layout, place)
+        total = _row_variance(seen, rows, z, layout, state.variances, state.reference_share)
+        present = np.isfinite(r[:, :c])
+        r = np.where(np.isfinite(r), r, 0.0)
+        robust = _row_weights(r[:, :c] / (np.sqrt(total) * state.spread), present, settings, convex=False)
+        count += robust.sum(axis=0)
+        if weight_out is not None:
+            weight_out[rows] = robust[:, 0]
+        noise = state.variances.noise[:c]
+        w = robust * noise / (noise / seen.weight[rows, None] + state.reference_share * seen.reference_variance[rows, :c])
+        trust = np.sqrt(state.trust[seen.cluster[rows]])
+        m = np.concatenate([*z, x * prior_sd * trust[:, None, None], (r * trust[:, None])[:, :, None]], axis=2)
+        root = np.sqrt(w)
+        ends = np.cumsum(size[lo:hi])
+        for k in range(c):
+            mk = np.ascontiguousarray(m[:, k] * root[:, k, None])
+            begin = 0
+            for b, end in enumerate(ends):
+                part = mk[begin:end]
+                out[k, lo + b] = part.T @ part
+                begin = end
+    long = np.concatenate(
+        [
+            layout.long[layout.target[g] : (layout.target[g + 1] if g + 1 < len(layout.target) else len(layout.long))]
+            for g in targets
+        ]
+    )
+    first_block = np.searchsorted(blocks, layout.target_block[targets])
+    first_long = np.searchsorted(blocks, long)
+    groups = layout.groups
+    levels = (
+        mixed.Level(groups[0], np.arange(len(blocks))),
+        mixed.Level(groups[1], first_long),
+        mixed.Level(groups[2], np.searchsorted(first_long, first_block)),
+    )
+    return mixed.Products(out, np.maximum(count, 1e-9), levels, p)
+
+
+def _all_reduced(
+    seen: Observed, layout: _Layout, terms: tuple[Term, ...], state: _State, settings: LeastSquares, weight: FloatArray
+) -> mixed.Reduced:
+    """Every target, reduced, in batches that bound the memory."""
+    g = len(layout.target)
+    batch = layout.target_block[:-1] // _BATCH_BLOCKS
+    edges = np.r_[np.flatnonzero(np.r_[True, np.diff(batch) != 0]), g]
+    parts = [
+        mixed.reduce(_products(seen, layout, terms, state, settings, np.arange(lo, hi), weight), state.variances)
+        for lo, hi in zip(edges[:-1], edges[1:], strict=True)
+    ]
+    return mixed.Reduced(np.concatenate([q.terms for q in parts]), np.concatenate([q.effects for q in parts]))
+
+
+def _iterate(
+    seen: Observed, layout: _Layout, kind: _Kind, terms: tuple[Term, ...], start: _State, settings: LeastSquares
+) -> tuple[_State, mixed.Reduced, FloatArray]:
+    """Variance components, weights and values in turn, until the values rest; also the targets there, and each pair's weight."""
+    p, c = len(terms), layout.channels
+    prior, prior_sd = np.ones(p), np.array([t.prior_sd for t in terms])
+    guess = mixed.Variances(np.array(kind.noise[:c]) ** 2, layout.guess)
+    state = start
+    total_blocks = len(layout.block) - 1
+    g = len(layout.target)
+    subset = np.arange(g)
+    if total_blocks > _VARIANCE_BLOCKS:
+        subset = np.arange(0, g, int(np.ceil(total_blocks / _VARIANCE_BLOCKS)))
+    for number in range(6):
+        at = state.value / prior_sd
+        products = _products(seen, layout, terms, state, settings, subset)
+        variances = mixed.estimate(products, state.variances, prior, at, guess, steps=60 if number == 0 else 25)
+        reduced = (
+            mixed.reduce(products, variances)
+            if len(subset) == g
+            else _all_reduced(seen, layout, terms, replace(state, variances=variances), settings, np.empty(len(seen)))
+        )
+        solution = mixed.solve(reduced.terms, prior, at)
+        state = _State(
+            state.value + solution.value * prior_sd,
+            variances,
+            state.reference_share,
+            np.clip(state.spread, 0.7, 1.4) if number == 0 else np.ones(c),
+            _trust(reduced, solution, state.trust, settings),
+        )
+        if number >= 2 and np.all(np.abs(solution.value) <= 0.02 * np.sqrt(np.diag(solution.covariance))):
+            break
+    weight = np.empty(len(seen))
+    return state, _all_reduced(seen, layout, terms, state, settings, weight), weight
+
+
+def _trust(reduced: mixed.Reduced, solution: mixed.Solution, old: FloatArray, settings: LeastSquares) -> FloatArray:
+    """The weight (G,) of each target: one whose own effects are far from what the others have (a wrong pairing, a broken
+    transponder) loses it.  With fewer than 8 targets there are no others to tell by."""
+    w = reduced.effects.shape[1]
+    if len(old) < 8:
+        return old
+    p = len(solution.value)
+    inner = reduced.effects[:, :, :w]
+    score = reduced.effects[:, :, w + p] - reduced.effects[:, :, w : w + p] @ solution.value
+    scale = np.sqrt(np.maximum(np.einsum("gii->gi", inner), 1e-300))
+    inverse = np.linalg.pinv(inner / scale[:, :, None] / scale[:, None, :], rcond=1e-6, hermitian=True)
+    rank = np.maximum(np.linalg.matrix_rank(inner / scale[:, :, None] / scale[:, None, :], tol=1e-6, hermitian=True), 1)
+    score = score / scale
+    # The score was made with the square root of the old trust on its residual.
+    square = np.einsum("gi,gij,gj->g", score, inverse, score) / np.maximum(old, 1e-12)
+    # Chi-squared to normal (Wilson and Hilferty 1931).
+    normal = ((square / rank) ** (1 / 3) - (1 - 2 / (9 * rank))) / np.sqrt(2 / (9 * rank))
+    return np.maximum(_robust(np.maximum(normal, 0.0), settings), 1e-6)
+
+
+def _rank_deficient(
+    seen: Observed, layout: _Layout, terms: tuple[Term, ...], state: _State, settings: LeastSquares
+) -> Dropped | None:
+    """The last term, in the order of `_ORDER`, of whose column too little remains once the earlier ones are taken out of it."""
+    n, p, c = len(seen), len(terms), layout.channels
+    rows = np.arange(n) if n <= _START_PLOTS else np.arange(0, n, n // _START_PLOTS)
+    gram = np.zeros((p, p))
+    for part in chunks(len(rows)):
+        place, r, x = linearise(seen, rows[part], terms, state.value)
+        total = _row_variance(seen, rows[part], _effect_columns(layout, place), layout, state.variances, 1.0)
+        present = np.isfinite(r[:, :c])
+        u = np.where(present, r[:, :c], 0.0) / np.sqrt(total)
+        w = _row_weights(u / state.spread, present, settings, convex=False) / total
+        gram += np.einsum("nki,nk,nkj->ij", x[:, :c], w, x[:, :c], optimize=True)
+    return rank_check(gram, terms, settings)
+
+
+def rank_check(gram: FloatArray, terms: Sequence[Term], settings: LeastSquares) -> Dropped | None:
+    """The latest term whose scaled column is a mix of the earlier ones, or is nothing at all; None where the rank is full.
+
+    `gram` (p, p) is ``X' W X``.  What remains of each unit column after the earlier terms are projected out is the diagonal of its
+    Cholesky factor: the same number that a QR of the columns, taken in this order, has on its diagonal.
+    """
+    size = np.sqrt(np.diag(gram))
+    order = sorted(range(len(terms)), key=lambda k: _rank_of(terms[k]))
+    # A column is nothing where a plausible value (prior sd) would not show in all plots together.
+    for k in reversed(order):
+        if not size[k] * terms[k].prior_sd > 1e-6:
+            return Dropped(terms[k].name, f"{terms[k].name} has no effect on these plots")
+    unit = gram / size[:, None] / size
+    kept: list[int] = []
+    found: Dropped | None = None
+    for k in order:
+        if kept:
+            inner, cross = unit[np.ix_(kept, kept)], unit[kept, k]
+            mix = np.linalg.solve(inner, cross)
+            left = float(np.sqrt(max(1.0 - cross @ mix, 0.0)))
+        else:
+            mix, left = np.zeros(0), 1.0
+        if left < settings.rank_tolerance:
+            j = kept[int(np.argmax(np.abs(mix)))]
+            per = mix[kept.index(j)] * size[k] / size[j]
+            others = [terms[i].name for i, a in zip(kept, mix, strict=True) if abs(a) > 0.1 * np.abs(mix).max()]
+            found = Dropped(
+                terms[k].name,
+                f"on these plots {terms[k].name} cannot be told from {_and(others)}: {100 * left:.2f} % of its effect is its own",
+                terms[j].name,
+                _absorbs(terms[j], terms[k], per),
+            )
+        else:
+            kept.append(k)
+    return found
+
+
+def _inseparable(reduced: FloatArray, terms: tuple[Term, ...], settings: LeastSquares) -> Dropped | None:
+    """The term to leave out next: of the most correlated pair the later; else the one that is less certain than its prior."""
+    p = len(terms)
+    information = reduced[:, :p, :p].sum(axis=0)
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    covariance = np.linalg.pinv(information / size[:, None] / size, rcond=1e-12, hermitian=True) / size[:, None] / size
+    return pair_check(covariance, terms, settings)
+
+
+def pair_check(covariance: FloatArray, terms: Sequence[Term], settings: LeastSquares) -> Dropped | None:
+    """The term to leave out by the covariance (p, p) of the estimates, in units of the terms' prior sd and without the prior."""
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlation = np.abs(covariance / sd[:, None] / sd)
+    np.fill_diagonal(correlation, 0.0)
+    if correlation.size and correlation.max() >= settings.max_correlation:
+        i, j = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
+        keep, drop = sorted((int(i), int(j)), key=lambda k: _rank_of(terms[k]))
+        ratio = -covariance[keep, drop] / covariance[drop, drop] * terms[keep].prior_sd / terms[drop].prior_sd
+        return Dropped(
+            terms[drop].name,
+            f"{terms[drop].name} cannot be told from {terms[keep].name}: "
+            f"their estimates correlate by {covariance[keep, drop] / sd[keep] / sd[drop]:+.3f}",
+            terms[keep].name,
+            _absorbs(terms[keep], terms[drop], float(ratio)),
+        )
+    worst = int(np.argmax(sd))
+    if sd[worst] > 1.0:
+        t = terms[worst]
+        return Dropped(
+            t.name,
+            f"its sd would be {sd[worst] * t.prior_sd / t.si_per_unit:.3g} {t.unit}, more than any plausible {t.name} "
+            f"({t.prior_sd / t.si_per_unit:.3g} {t.unit})",
+        )
+    return None
+
+
+def _rank_of(term: Term) -> int:
+    return _ORDER.index(term.name) if term.name in _ORDER else len(_ORDER)
+
+
+def _absorbs(keep: Term, drop: Term, per: float) -> str:
+    amount = per * drop.si_per_unit / keep.si_per_unit
+    return f"{keep.name} also holds what there is of {drop.name}: {amount:+.3g} {keep.unit} for each {drop.unit}"
+
+
+def _and(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _finish(
+    seen: Observed,
+    layout: _Layout,
+    terms: tuple[Term, ...],
+    state: _State,
+    reduced: mixed.Reduced,
+    weight: FloatArray,
+    dropped: list[Dropped],
+    settings: LeastSquares,
+) -> Fit:
+    p, c = len(terms), layout.channels
+    prior, prior_sd = np.ones(p), np.array([t.prior_sd for t in terms])
+    at = state.value / prior_sd
+    solution = mixed.solve(reduced.terms, prior, at)
+    covariance, effective = mixed.honest_covariance(reduced.terms, solution)
+    held_out = _held_out(reduced.terms, solution, at, layout)
+    w = reduced.effects.shape[1]
+    scale = np.outer(prior_sd, prior_sd)
+    noise = np.full(3, np.nan)
+    noise[:c] = np.sqrt(state.variances.noise)
+    notes = []
+    gone = int((weight == 0).sum())
+    if gone:
+        notes.append(
+            f"{gone:,} of {len(seen):,} pairs ({100 * gone / len(seen):.1f} %) lie more than {settings.hard_sd:g} sd away and have no weight"
+        )
+    doubted = int((state.trust < 0.5).sum())
+    if doubted:
+        notes.append(f"{doubted} of {len(state.trust)} targets differ from all others and have little weight")
+    return Fit(
+        terms=terms,
+        value=state.value + solution.value * prior_sd,
+        covariance=covariance * scale,
+        model_covariance=solution.covariance * scale,
+        noise_sd=noise,
+        weight=weight,
+        effective=effective,
+        effect_names=tuple(e.term for e in layout.effects[-1]),
+        effect_variance=state.variances.effects[-1][layout.groups[-1]],
+        scores=reduced.effects[:, :, w + p] - reduced.effects[:, :, w : w + p] @ solution.value,
+        information=reduced.effects[:, :, :w],
+        influence=reduced.effects[:, :, w : w + p] / prior_sd,
+        held_out=state.value + held_out * prior_sd,
+        dropped=tuple(dropped),
+        notes=tuple(notes),
+    )
+
+
+def folds(size: IntArray) -> IntArray:
+    """A fold (0 … 4) for each target (G,), dealt by their numbers of plots so that the folds are alike."""
+    fold = np.empty(len(size), np.int64)
+    fold[np.argsort(-size, kind="stable")] = np.arange(len(size)) % _FOLDS
+    return fold
+
+
+def _held_out(reduced: FloatArray, solution: mixed.Solution, at: FloatArray, layout: _Layout) -> FloatArray:
+    """The step (G, p) found without the fold that each target is in; NaN where no target would be left."""
+    target_rows = layout.block[layout.target_block]
+    fold = folds(np.diff(target_rows))
+    out = np.full((len(reduced), len(solution.value)), np.nan)
+    if len(reduced) > 1:
+        for k in range(_FOLDS):
+            mine = fold == k
+            if mine.any():
+                out[mine] = mixed.solve(reduced[~mine], np.ones(len(at)), at).value
+    return out
+
+
+def accuracy(seen: Observed, fitted: Fit) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Horizontal distances (n,), metres: before, after, and with the value found without the target's own fold (else NaN)."""
+    n = len(seen)
+    before, after, held = np.empty(n), np.empty(n), np.full(n, np.nan)
+    size = np.bincount(seen.cluster, minlength=len(fitted.held_out))
+    fold = folds(size)
+    for part in chunks(n):
+        before[part] = distances(seen, part, fitted.terms, np.zeros(len(fitted.terms)))
+        after[part] = distances(seen, part, fitted.terms, fitted.value)
+    for k in range(_FOLDS):
+        targets = np.flatnonzero(fold == k)
+        if len(targets) and np.isfinite(fitted.held_out[targets[0]]).all():
+            rows = np.flatnonzero(fold[seen.cluster] == k)
+            for part in chunks(len(rows)):
+                held[rows[part]] = distances(seen, rows[part], fitted.terms, fitted.held_out[targets[0]])
+    return before, after, held
+
+
+def default_model(sensor: Sensor) -> str:
+    """The model of a kind of sensor."""
+    return "surface" if sensor.kind in GROUND_KINDS else "atc"
