@@ -66,7 +66,7 @@ class Radar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     @property
     def sensor(self) -> Sensor:
-        """The entry of sensors.toml: what an operator would know of this radar, so without its errors."""
+        """The entry of sensors.toml: what an operator would know of this radar, so without its errors and noise."""
         return Sensor(
             name=self.name,
             sac=self.sac,
@@ -76,9 +76,6 @@ class Radar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             height_m=self.height_m,
             kind=self.kind,
             scan_s=self.scan_s,
-            range_sd_m=self.range_sd_m,
-            azimuth_sd_deg=self.azimuth_sd_deg,
-            elevation_sd_deg=self.elevation_sd_deg,
             max_range_m=self.max_range_m,
         )
 

@@ -211,26 +211,28 @@ def _fly(plan: _Plan, steps: int) -> tuple[FloatArray, FloatArray, FloatArray, I
         flying &= ~done
         if not flying.any():
             break
+        step = np.where(flying, STEP_S, 0.0)
         goal = np.where(reached & ~last, goal + 1, goal)
 
         wanted = np.clip(np.arctan(speed * error / (8.0 * GRAVITY_MPS2)), -steepest, steepest)
-        bank += np.clip(0.4 * (wanted - bank), -math.radians(5), math.radians(5)) * STEP_S
+        bank += np.clip(0.4 * (wanted - bank), -math.radians(5), math.radians(5)) * step
         to_go = far + tail[row, goal]
         pace = plan.pace * np.interp(height, _LEVELS_M, _SPEEDS_MPS)
         pace = np.where(plan.lands, np.minimum(pace, 70.0 + to_go * 2.6e-3), pace)
-        speed += np.clip((pace - speed) / 8.0, -0.7, 0.9) * STEP_S
+        speed += np.clip((pace - speed) / 8.0, -0.7, 0.9) * step
         glide = plan.final_m + to_go * math.tan(math.radians(3.0))
         level = np.where(plan.lands, np.minimum(plan.cruise_m, glide), plan.cruise_m)
         climb = plan.climb_mps * (1.15 - height / 14_000.0)
-        rise += np.clip(np.clip((level - height) / 10.0, -16.0, climb) - rise, -0.4, 0.4) * STEP_S
-        height += rise * STEP_S
+        rise += np.clip(np.clip((level - height) / 10.0, -16.0, climb) - rise, -0.4, 0.4) * step
+        height += rise * step
         lat_rate = speed * np.cos(heading) / (_EARTH_M + height)
         lon_rate = speed * np.sin(heading) / ((_EARTH_M + height) * np.cos(lat))
         # Meridians converge: along a great circle the heading itself turns.
-        heading += (GRAVITY_MPS2 * np.tan(bank) / speed + lon_rate * np.sin(lat)) * STEP_S
-        lat += lat_rate * STEP_S
-        lon += lon_rate * STEP_S
-    return track[0], track[1], track[2], flown
+        heading += (GRAVITY_MPS2 * np.tan(bank) / speed + lon_rate * np.sin(lat)) * step
+        lat += lat_rate * step
+        lon += lon_rate * step
+    lat_all, lon_all, level = track[:, :, : int(flown.max())]
+    return lat_all, lon_all, level, flown
 
 
 def _unit(angle: float) -> FloatArray:

@@ -1,0 +1,156 @@
+"""Ready-made scenes: the demonstration, as files too, and a hard one for association."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from ..errors import InputError
+from ..model import Sensor, Sensors
+from ..terms import TERMS
+from ..write import write_text
+from ..write.asterix import write_asterix
+from .radar import Adsb, Radar
+from .scenario import Scenario, Simulated, simulate
+from .truth import Airport, Atmosphere, Traffic
+
+_AIRPORT = Airport(lat_deg=41.2971, lon_deg=2.0785, height_m=54.0, runway_deg=246.0)
+_AIR = Atmosphere(isa_deviation_k=6.0, shift_m=85.0)
+# Smallest and largest true value of each error, in the term's unit; the sign is drawn.
+_ERRORS = {
+    "range_bias": (40.0, 120.0),
+    "range_gain": (0.3, 0.9),
+    "azimuth_bias": (0.08, 0.4),
+    "azimuth_cos": (0.03, 0.09),
+    "azimuth_sin": (0.03, 0.09),
+    "time_offset": (0.15, 0.6),
+}
+
+
+def _draw(rng: np.random.Generator, bounds: dict[str, tuple[float, float]]) -> dict[str, float]:
+    """Errors of either sign within the bounds, rounded to what a person can read."""
+    return {name: round(float(rng.choice([-1, 1]) * rng.uniform(*limits)), 4) for name, limits in bounds.items()}
+
+
+def demo_scene(seed: int) -> Scenario:
+    """Two radars whose errors are drawn with `seed`, 30 aircraft, 50 minutes, ADS-B with accuracy classes, latency and gaps.
+
+    "en-route" is a Mode S radar on a hill (10 s, 240 km), "terminal" a combined PSR and Mode S radar at the airport (4 s,
+    110 km).  Neither measures elevation: CAT048 has no item for it (I048/110 is a height already computed with some model of
+    refraction and above some sea level), so terms of elevation are left to scenes that do not go through files.
+    """
+    rng = np.random.default_rng([seed, 1])
+    return Scenario(
+        name=f"demonstration, seed {seed}",
+        duration_s=3000.0,
+        traffic=Traffic(aircraft=30, lat_deg=41.4, lon_deg=2.0, radius_m=220e3),
+        airport=(_AIRPORT,),
+        atmosphere=_AIR,
+        radar=(
+            Radar(
+                name="en-route", sac=20, sic=1, lat_deg=41.5312, lon_deg=1.8846, height_m=782.0, kind="mode_s", scan_s=10.0,
+                max_range_m=240e3, range_sd_m=30.0, azimuth_sd_deg=0.05, errors=_draw(rng, _ERRORS),
+            ),
+            Radar(
+                name="terminal", sac=20, sic=2, lat_deg=41.3007, lon_deg=2.1021, height_m=77.0, kind="combined", scan_s=4.0,
+                max_range_m=110e3, range_sd_m=25.0, azimuth_sd_deg=0.07, errors=_draw(rng, _ERRORS),
+            ),
+        ),
+        adsb=Adsb(share=0.9),
+    )  # fmt: skip
+
+
+def association_scene(seed: int, *, largest_azimuth_deg: float = 2.8) -> Scenario:
+    """A hard scene for association: 90 aircraft within 100 km, 18 of them without ADS-B, a primary radar without any identity.
+
+    The azimuth bias is drawn up to `largest_azimuth_deg` of either sign, the range bias up to 800 m, the time offset up to 0.5 s.
+    Both sides carry track numbers.  METHODS section 4.
+    """
+    rng = np.random.default_rng([seed, 2])
+    half = largest_azimuth_deg / 2
+    return Scenario(
+        name=f"association, seed {seed}",
+        duration_s=1200.0,
+        traffic=Traffic(aircraft=90, lat_deg=41.3, lon_deg=2.1, radius_m=100e3),
+        airport=(_AIRPORT,),
+        atmosphere=_AIR,
+        radar=(
+            Radar(
+                name="primary", sac=20, sic=3, lat_deg=41.3007, lon_deg=2.1021, height_m=77.0, kind="psr", scan_s=4.0,
+                max_range_m=105e3, detection=0.9, range_sd_m=50.0, azimuth_sd_deg=0.12,
+                errors=_draw(rng, {"range_bias": (100.0, 800.0), "azimuth_bias": (half, 2 * half), "time_offset": (0.1, 0.5)}),
+            ),
+        ),
+        adsb=Adsb(share=0.8),
+    )  # fmt: skip
+
+
+class DemoFiles(msgspec.Struct, frozen=True):
+    """Where a scene was written, the UTC date of its first record, and its true errors (radar, term, value in its unit)."""
+
+    plots: tuple[Path, ...]
+    reference: tuple[Path, ...]
+    sensors: Path
+    truth_file: Path
+    date: datetime.date
+    truth: dict[str, dict[str, float]]
+
+
+def write_demo(folder: str | Path, seed: int = 1) -> DemoFiles:
+    """Simulate the demonstration and write it to `folder`.
+
+    One ASTERIX file a radar, ``adsb.ast``, ``sensors.toml`` and ``truth.json``.  The same seed gives the same bytes.  The folder
+    is made where it does not exist.  Raises InputError where it cannot be written.
+    """
+    return write_scene(simulate(demo_scene(seed), np.random.default_rng([seed, 3])), folder)
+
+
+def write_scene(run: Simulated, folder: str | Path) -> DemoFiles:
+    """Write a simulated scene as `write_demo` does."""
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"the folder cannot be made ({error.strerror})", path=folder, remedy="Name another one.") from error
+    plots: list[Path] = []
+    for radar, seen in zip(run.scenario.radar, run.observations, strict=True):
+        plots.append(folder / f"{radar.name}.ast")
+        write_asterix(plots[-1], seen.plots, marks=seen.marks)
+    reference: list[Path] = []
+    if run.scenario.adsb is not None:
+        reference.append(folder / "adsb.ast")
+        write_asterix(reference[-1], fixes=run.fixes)
+    write_text(folder / "sensors.toml", sensors_toml(run.sensors))
+    errors = {
+        name: {term: {"true": value, "unit": TERMS[term].unit} for term, value in terms.items()}
+        for name, terms in run.errors.items()
+    }
+    text = msgspec.json.format(msgspec.json.encode({"scene": run.scenario.name, "sensors": errors}), indent=2).decode()
+    write_text(folder / "truth.json", text + "\n")
+    return DemoFiles(
+        plots=tuple(plots),
+        reference=tuple(reference),
+        sensors=folder / "sensors.toml",
+        truth_file=folder / "truth.json",
+        date=run.scenario.start.date(),
+        truth=run.errors,
+    )
+
+
+def sensors_toml(sensors: Sensors) -> str:
+    """The text of a `sensors.toml` that `load_sensors` reads as these sensors; what stands at its default is left out."""
+    tables = []
+    for sensor in sensors:
+        lines = ["[[sensor]]"]
+        for key, value in msgspec.to_builtins(sensor).items():
+            if key in ("name", "kind") or value != getattr(_PLAIN, key):
+                lines.append(f"{key} = {msgspec.json.encode(value).decode()}")
+        tables.append("\n".join(lines) + "\n")
+    return "\n".join(tables)
+
+
+# A sensor of which nothing is told: its fields are the defaults.
+_PLAIN = Sensor(name="")
