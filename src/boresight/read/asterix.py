@@ -1177,24 +1177,23 @@ def decode_items(data: bytes, editions: Mapping[int, str] | None = None) -> Iter
     known = {c: uap.default_edition(c) for c in uap.categories()} | dict(editions or {})
     layout = _layout_of(known)
     buffer = np.frombuffer(data, np.uint8)
+    start, length, cats = np.empty(_ROWS, np.int64), np.empty(_ROWS, np.int64), np.empty(_ROWS, np.uint8)
+    unknown = np.zeros(256, np.int64)
     pos = 0
     while pos < len(buffer):
-        # One block at a time.
-        stop = min(_end(buffer, pos), len(buffer)) if len(buffer) - pos >= 3 else len(buffer)
-        if stop < pos + 3:
-            return
-        room = stop - pos
-        start, length, cats = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.uint8)
-        items, unknown = np.zeros((room // 3 + 1, layout.width), np.uint16), np.zeros(256, np.int64)
-        n, _, _, _, _ = _walk(
-            buffer[pos:stop], 0, True, layout.cats, layout.nodes, start[: len(items)], length, cats, items, unknown
-        )
+        items = np.zeros((_ROWS, layout.width), np.uint16)
+        n, stop, how, _, _ = _walk(buffer[pos:], 0, True, layout.cats, layout.nodes, start, length, cats, items, unknown)
         for i in range(n):
-            begin = pos + int(start[i])
-            edition = known[int(cats[i])]
-            places = {name: int(items[i, slot]) for name, slot in _slots(int(cats[i]), edition).items() if items[i, slot]}
-            yield ItemRecord(begin, int(cats[i]), edition, _cut(bytes(buffer[begin : begin + int(length[i])]), places))
-        pos = stop
+            begin, category = pos + int(start[i]), int(cats[i])
+            places = items[i].tolist()
+            here = {name: places[slot] for name, slot in _slots(category, known[category]).items() if places[slot]}
+            raw = bytes(buffer[begin : begin + int(length[i])])
+            yield ItemRecord(begin, category, known[category], _cut(raw, here))
+        pos += stop
+        if how in (_RECORD, _STRANGE):
+            pos = _end(buffer, pos)
+        elif how != _FULL:
+            return
 
 
 def _cut(record: bytes, places: dict[str, int]) -> dict[str, bytes]:
