@@ -193,7 +193,7 @@ def site_warnings(plots: Plots, sensors: Sensors) -> tuple[str, ...]:
             near = float(np.nanmedian(mine.range_m)) if np.isfinite(mine.range_m).any() else np.nan
             if np.isfinite(near) and near > 30:
                 out.append(
-                    f"sensor {sensor.name!r} has no ground_height_m; its targets are taken at the height of its antenna: one that stands "
+                    f"sensor {sensor.name!r} has no ground_height_m; its targets are taken at its antenna's height: one standing "
                     f"30 m above the ground makes {near - np.sqrt(near**2 - 900):.1f} m of range at {near:.0f} m (the median)"
                 )
         if sensor.north != "true" and sensor.north_offset_deg == 0:
@@ -281,6 +281,26 @@ def position_from_height(
         up[rows] = moved
         rows = rows[going]
     return out
+
+
+def position_from_plane(
+    x_m: FloatArray, y_m: FloatArray, height_m: FloatArray, site: FloatArray, enu_from_ecef: FloatArray
+) -> FloatArray:
+    """Positions (n, 3), ECEF metres, from east and north in the plane of a reference point, and ellipsoidal height (n,).
+
+    `site` (3,), ECEF metres, and `enu_from_ecef` (3, 3) belong to the reference point.  Newton's method, to 1e-6 m of height.
+    """
+    x, y, h = np.broadcast_arrays(*(np.asarray(v, np.float64) for v in (x_m, y_m, height_m)))
+    enu = np.stack([x, y, h - geodetic_from_ecef(site)[2]], axis=-1)
+    vertical = enu_from_ecef[2]
+    position = site + rotate_back(enu_from_ecef, enu)
+    for _ in range(_NEWTON_STEPS):
+        height, plumb = height_and_up(position)
+        missing = h - height
+        if not np.any(np.abs(missing) > _NEWTON_M):
+            break
+        position = position + (missing / (plumb @ vertical))[..., None] * vertical
+    return position
 
 
 def plot_positions(plots: Plots, sensors: Sensors, height_m: FloatArray | None = None) -> FloatArray:
