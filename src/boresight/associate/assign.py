@@ -1,7 +1,7 @@
 """Which track is which target: a truncated Mahalanobis cost over whole tracks, and the cheapest consistent assignment.
 
-METHODS section 4.  The cost of a pair is the sum over the track's plots of min(d², gate²); leaving a track unassigned costs a fixed
-amount per plot.  A target may be taken by several tracks of one radar, but never by two at the same time.
+METHODS section 4.  The cost of a pair is the sum over the track's plots of min(d², gate²); leaving a track unassigned costs a
+fixed amount per plot.  A target may be taken by several tracks of one radar, but never by two at the same time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from .._types import BoolArray, FloatArray, IntArray
 
 
 class Decision(NamedTuple):
-    """The target of each track (k,), -1 where it has none, its cost and that of the next best target (NaN where there is none)."""
+    """The target of each track (k,), -1 where it has none, its cost and the next best target's (NaN where there is none)."""
 
     target: IntArray
     cost: FloatArray
@@ -26,14 +26,14 @@ def track_cost(
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]:
     """Mean truncated cost of each pair of track and target.
 
-    `track`, `target`, `d2`, `weight` (m,) are plots against candidate targets (squared Mahalanobis distance; weight 1 / plots looked
-    at of the track, so that plots without a reference are missing weight).  Returns (track, target, cost, share, seen) per
-    pair (p,): the cost is the mean of min(d², gate²) over the plots that could be compared, `share` how much of these lies inside the
-    gate, `seen` how much of the track could be compared.
+    `track`, `target`, `d2`, `weight` (m,) are plots against candidate targets (squared Mahalanobis distance; weight 1 / plots
+    looked at of the track, so that plots without a reference are missing weight).  Returns (track, target, cost, share, seen)
+    per pair (p,): the cost is the mean of min(d², gate²) over the plots that could be compared, `share` how much of these
+    lies inside the gate, `seen` how much of the track could be compared.
     """
     span = int(target.max(initial=0)) + 1
     unique, pair = np.unique(track * span + target, return_inverse=True)
-    total = np.bincount(pair, weight, len(unique))
+    total: FloatArray = np.bincount(pair, weight, len(unique)).astype(np.float64)
     cost = np.bincount(pair, weight * np.minimum(d2, gate2), len(unique)) / np.maximum(total, 1e-12)
     share = np.bincount(pair, weight * (d2 < gate2), len(unique)) / np.maximum(total, 1e-12)
     return unique // span, unique % span, cost, share, total
@@ -52,11 +52,11 @@ def assign(
 ) -> Decision:
     """The cheapest assignment of tracks to targets, with the choice to leave a track unassigned.
 
-    `track`, `target`, `cost`, `weight` (p,) are candidate pairs (cost per plot, and how many plots it speaks for); a pair is used only
-    if its cost is under `unassigned`.  `start_s`, `end_s` (k,) are each track's span: two tracks with one target may overlap by no
-    more than `overlap_s`.  A track whose best target is taken is not pushed to a second one that is worse by `margin` or more:
-    it stays unassigned.  Connected components are solved one by one with `scipy.optimize.linear_sum_assignment`; tracks
-    of a target that follow each other are found in further rounds.
+    `track`, `target`, `cost`, `weight` (p,) are candidate pairs (cost per plot, and how many plots it speaks for); a pair is
+    used only if its cost is under `unassigned`.  `start_s`, `end_s` (k,) are each track's span: two tracks with one target
+    may overlap by no more than `overlap_s`.  A track whose best target is taken is not pushed to a second one that is worse
+    by `margin` or more: it stays unassigned.  Connected components are solved one by one with
+    `scipy.optimize.linear_sum_assignment`; tracks of a target that follow each other are found in further rounds.
     """
     tracks = len(start_s)
     chosen = np.full(tracks, -1, np.int64)

@@ -18,10 +18,10 @@ from .._types import BoolArray, FloatArray, IntArray
 class Candidates(NamedTuple):
     """Radar plots against reference targets, one row per plot and target that might be it.
 
-    `track` and `target` (m,) number the pair, `weight` is 1 / (plots looked at of that track), so that a track's weights sum to 1
-    per target that is there all the time.  `range_error_m` and `azimuth_error_rad` are measured - reference at the plot's stamp,
-    `range_rate_mps` and `azimuth_rate_radps` how the reference moves as the radar sees it.  The sd are how far a true candidate
-    may lie off once the biases are known: noise of both sides, and what three constants cannot describe.
+    `track` and `target` (m,) number the pair, `weight` is 1 / (plots looked at of that track), so that a track's weights sum
+    to 1 per target that is there all the time.  `range_error_m` and `azimuth_error_rad` are measured - reference at the
+    plot's stamp, `range_rate_mps` and `azimuth_rate_radps` how the reference moves as the radar sees it.  The sd are how far
+    a true candidate may lie off once the biases are known: noise of both sides, and what three constants cannot describe.
     """
 
     track: IntArray
@@ -36,7 +36,10 @@ class Candidates(NamedTuple):
 
     def keep(self, rows: BoolArray) -> Candidates:
         """The rows of a mask."""
-        return Candidates(*(column[rows] for column in self))
+        return Candidates(
+            self.track[rows], self.target[rows], self.weight[rows], self.range_error_m[rows], self.azimuth_error_rad[rows],
+            self.range_rate_mps[rows], self.azimuth_rate_radps[rows], self.range_sd_m[rows], self.azimuth_sd_rad[rows],
+        )  # fmt: skip
 
 
 class Window(NamedTuple):
@@ -50,8 +53,8 @@ class Window(NamedTuple):
 class Peak(NamedTuple):
     """Biases that candidates agree on (measured - true; time: stamp - true), and how well.
 
-    `score` is the sum over tracks of how well the best target explains the whole track (0 to 1 each); `tracks` counts those that
-    are explained at least by half.
+    `score` is the sum over tracks of how well the best target explains the whole track (0 to 1 each); `tracks` counts those
+    that are explained at least by half.
     """
 
     range_m: float
@@ -67,7 +70,8 @@ NO_PEAK = Peak(0.0, 0.0, 0.0, 0.0, 0)
 def residuals(c: Candidates, range_bias_m: float, azimuth_bias_rad: float, late_s: float) -> tuple[FloatArray, FloatArray]:
     """What is left of the range (m) and azimuth (rad) errors (m,) once the biases are taken off.
 
-    A plot stamped `late_s` late shows the target where it was that much earlier, p - v late_s, hence error = bias - rate late_s.
+    A plot stamped `late_s` late shows the target where it was that much earlier, p - v late_s, hence error = bias - rate
+    late_s.
     """
     return (
         c.range_error_m + late_s * c.range_rate_mps - range_bias_m,
@@ -104,8 +108,9 @@ def time_steps(c: Candidates, window: Window) -> FloatArray:
 def search_peak(c: Candidates, window: Window, starts: int = 6) -> Peak:
     """Find the biases on which most tracks agree.
 
-    The votes of each trial of the time bias are gathered in a grid of range and azimuth bias whose cells are one vote wide; the
-    best cells are then refined (`refine`) and judged by the tracks that they explain.  Returns `NO_PEAK` where no candidate can vote.
+    The votes of each trial of the time bias are gathered in a grid of range and azimuth bias whose cells are one vote wide;
+    the best cells are then refined (`refine`) and judged by the tracks that they explain.  Returns `NO_PEAK` where no
+    candidate can vote.
     """
     c = c.keep(within(c, window))
     if not len(c.track):
@@ -153,7 +158,7 @@ def explained(c: Candidates, range_bias_m: float, azimuth_bias_rad: float, late_
     d2 = (range_left / c.range_sd_m) ** 2 + (azimuth_left / c.azimuth_sd_rad) ** 2
     key = c.track * (int(c.target.max(initial=0)) + 1) + c.target
     unique, pair = np.unique(key, return_inverse=True)
-    score = np.bincount(pair, c.weight * np.maximum(0.0, 1.0 - d2 / gate**2), len(unique))
+    score: FloatArray = np.bincount(pair, c.weight * np.maximum(0.0, 1.0 - d2 / gate**2), len(unique)).astype(np.float64)
     span = int(c.target.max(initial=0)) + 1
     return score, unique // span, unique % span, pair
 
@@ -168,7 +173,7 @@ def refine(c: Candidates, window: Window, range_bias_m: float, azimuth_bias_rad:
     limit = np.array([window.range_m, window.azimuth_rad, max(window.time_s, 1e-9)])
     best = NO_PEAK
     for gate in (4.0, 4.0, 3.5, 3.0, 3.0):
-        score, track, _, pair = explained(c, *estimate, gate=gate)
+        score, track, _, pair = explained(c, estimate[0], estimate[1], estimate[2], gate)
         best = max(best, _peak(estimate, score, track), key=lambda p: p.score) if gate == 3.0 else best
         best_of_track = np.zeros(int(track.max(initial=-1)) + 1)
         np.maximum.at(best_of_track, track, score)
@@ -227,8 +232,9 @@ def shared_offset(
 ) -> tuple[float, int, float]:
     """The clock offset that most tracks share, for clocks farther apart than the window.
 
-    `near` = (plot (m,), fix (m,)): a plot and a fix at the same place, at whatever times.  Each such meeting votes, once per track,
-    for its time difference in bins of `width_s`.  Returns (plot - fix in seconds, tracks that agree, tracks that chance gives).
+    `near` = (plot (m,), fix (m,)): a plot and a fix at the same place, at whatever times.  Each such meeting votes, once per
+    track, for its time difference in bins of `width_s`.  Returns (plot - fix in seconds, tracks that agree, tracks that
+    chance gives).
     """
     if not len(near[0]):
         return 0.0, 0, 0.0

@@ -1,7 +1,8 @@
 """Which tracks and targets call themselves the same, and which cannot be the same.
 
-An identity is taken from a whole tracklet or target (the value that most of its records carry), so that one garbled reply decides
-nothing.  Identity only proposes: geometry must agree before a pair is declared, because addresses are duplicated, wrong, or reused.
+An identity is taken from a whole tracklet or target (the value that most of its records carry), so that one garbled reply
+decides nothing.  Identity only proposes: geometry must agree before a pair is declared, because addresses are duplicated,
+wrong, or reused.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import numpy as np
 
 from .._types import AnyArray, BoolArray, IntArray
 from ..model import Fixes, Plots
-from .tracklets import Tracklets
 
 # Kinds of identity in the order of their trust.  A Mode 3/A code is reused all the time and counts as a hint only.
 KINDS = ("Mode S", "MMSI", "callsign", "Mode 3/A")
@@ -34,7 +34,7 @@ class Links(NamedTuple):
 def is_discrete(code: AnyArray) -> BoolArray:
     """Whether a Mode 3/A code (n,) (the number, as 0o1234) belongs to one aircraft at a time."""
     code = np.asarray(code, np.int64)
-    return (code > 0) & (code % 64 != 0) & ~np.isin(code, _SHARED)
+    return np.asarray((code > 0) & (code % 64 != 0) & ~np.isin(code, _SHARED))
 
 
 def modal(value: AnyArray, start: IntArray) -> IntArray:
@@ -73,7 +73,7 @@ class Names(NamedTuple):
 
     def known(self, kind: int) -> BoolArray:
         """Which groups (k,) carry an identity of this kind."""
-        return self.value[kind] >= 0
+        return np.asarray(self.value[kind] >= 0)
 
 
 def names_of(table: Plots | Fixes, order: IntArray, start: IntArray) -> Names:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from ..errors import InputError, NothingToDo
 from ..model import Fixes, Flag, Plots, Sensor
 from . import identity
 from .hough import Candidates, Window, residuals, within
-from .settings import Assumed, AssociationSettings
+from .settings import AssociationSettings, Assumed
 
 # Plots are compared with the reference in pieces of this many, which bounds the memory.
 _CHUNK = 400_000
@@ -26,7 +27,8 @@ _MOTION_S = 5.0
 class Reference:
     """The reference, prepared once for all sensors.
 
-    `target` (n,) is the target of each fix (-1: unusable), `order` sorts the fixes by target and time; spans and names are by target.
+    `target` (n,) is the target of each fix (-1: unusable), `order` sorts the fixes by target and time; spans and names are by
+    target.
     """
 
     fixes: Fixes
@@ -58,9 +60,8 @@ def reference_of(fixes: Fixes, settings: AssociationSettings) -> Reference:
                 "the reference's positions are still Cartesian", remedy="Call align.locate(fixes, sensors, sources) first."
             )
         raise NothingToDo("the reference holds no position", remedy="It needs ADS-B or multilateration reports with positions.")
-    options: dict[str, object] = {"method": settings.interpolation, "max_gap_s": settings.reference_gap_s}
-    trajectories = align.trajectories(fixes, **{k: v for k, v in options.items() if v is not None})  # type: ignore[arg-type]
-    target = np.where(placed, align.targets_of(fixes), -1)
+    trajectories = align.trajectories(fixes, method=settings.interpolation, max_gap_s=settings.reference_gap_s)
+    target = np.where(placed, trajectories.target, -1)
     rows = np.flatnonzero(target >= 0)
     if not len(rows):
         raise NothingToDo(
@@ -78,7 +79,7 @@ def reference_of(fixes: Fixes, settings: AssociationSettings) -> Reference:
 
 
 class Units(NamedTuple):
-    """What is compared: tracklets or single plots, as `unit` (m,) ascending and plot `row` (m,), `weight` 1 / points of the unit."""
+    """What is compared: tracklets or single plots.  `unit` (m,) ascending, plot `row` (m,), `weight` 1 / points of the unit."""
 
     unit: IntArray
     row: IntArray
@@ -130,7 +131,8 @@ class Scene:
         `late_s` moves the reference back along its own motion, p - v late + a late² / 2.
         """
         n = len(row)
-        out = Compared(*(np.empty(n) for _ in range(8)), np.zeros(n, bool))
+        e = np.empty((8, n))
+        out = Compared(e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7], np.zeros(n, bool))
         shift = np.broadcast_to(np.asarray(shift_s, np.float64), (n,))
         for at in range(0, n, _CHUNK):
             piece = slice(at, at + _CHUNK)
@@ -179,8 +181,9 @@ class Scene:
     ) -> Candidates:
         """Compare units with targets, `pair` = (unit (p,), target (p,)), point by point.
 
-        With a `window` about the `centre` biases (and `margin` standard deviations), of many pairs only those are looked at in full of
-        which some point can vote in it.  `shift_s` moves the clocks; within `cycle_s` (first, last) it wraps around.
+        With a `window` about the `centre` biases (and `margin` standard deviations), of many pairs only those are looked at
+        in full of which some point can vote in it.  `shift_s` moves the clocks; within `cycle_s` (first, last) it wraps
+        around.
         """
         unit, target = pair
         if window is not None and len(unit) * self.settings.points > 20_000:
@@ -216,19 +219,20 @@ class Scene:
             c = self.compare(row, j, move, turn_rad)
             ok = c.valid if self.assumed.min_speed_mps <= 0 else c.valid & (c.speed_mps >= 0.5 * self.assumed.min_speed_mps)
             found = Candidates(
-                u, j, units.weight[point], c.range_error_m, c.azimuth_error_rad, c.range_rate_mps, c.azimuth_rate_radps, c.range_sd_m, c.azimuth_sd_rad
+                u, j, units.weight[point], c.range_error_m, c.azimuth_error_rad, c.range_rate_mps, c.azimuth_rate_radps,
+                c.range_sd_m, c.azimuth_sd_rad,
             )  # fmt: skip
             parts.append(found.keep(ok))
         if not parts:
             empty_i, empty_f = np.empty(0, np.int64), np.empty(0)
-            return Candidates(empty_i, empty_i, *(empty_f for _ in range(7)))
+            return Candidates(empty_i, empty_i, empty_f, empty_f, empty_f, empty_f, empty_f, empty_f, empty_f)
         return Candidates(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def fits_surface(self, row: IntArray, target: IntArray) -> tuple[BoolArray, BoolArray]:
         """Whether each target (m,) was moving at its plot's stamp, and whether it was on the ground.
 
-        Moving: on average faster than `min_speed_mps` over the 10 s about the stamp.  On the ground: the reference's own ground bit
-        where that source ever sets it, else no more than 150 m above the antenna.
+        Moving: on average faster than `min_speed_mps` over the 10 s about the stamp.  On the ground: the reference's own
+        ground bit where that source ever sets it, else no more than 150 m above the antenna.
         """
         time = self.plots.time_s[row]
         before = align.states(self.reference.trajectories, target, time - _MOTION_S)
@@ -283,7 +287,7 @@ def expand(units: Units, unit: IntArray, target: IntArray) -> Iterator[tuple[Int
     cuts = np.unique(
         np.r_[0, np.searchsorted(total, np.arange(_CHUNK, int(total[-1]) if len(total) else 0, _CHUNK), "right"), len(unit)]
     )
-    for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+    for a, b in itertools.pairwise(cuts.tolist()):
         n = count[a:b]
         pair = np.repeat(np.arange(a, b), n)
         inside = np.arange(len(pair)) - np.repeat(np.cumsum(n) - n, n)

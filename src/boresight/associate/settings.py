@@ -16,12 +16,13 @@ from .hough import Window
 class AssociationSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How association looks for pairs.  None takes the default of the sensor's kind.
 
-    The windows are half widths about zero within which biases are searched: 2 km, 3.5° and 2.5 s in the air; 100 m, 1° and 2.5 s for
-    a surface radar.  The last gate is `gate_sd` standard deviations of noise and of what three constants leave over, or `gate_m`
-    metres (60 m for a surface radar).  Targets slower than `min_speed_mps` are left out (surface radars: 2 m/s).  `points` plots of
-    a track are compared, `search_tracks` tracks take part in the search.  Without identity at least `min_tracks` tracks must agree.
-    A track without a strong identity needs `min_plots`; it ends after `track_gap_s` without a plot.  `clock_search_s` is how far to
-    look for the clock offset to name in a refusal.  `interpolation` and `reference_gap_s` go to `align.trajectories`.
+    The windows are half widths about zero within which biases are searched: 2 km, 3.5° and 2.5 s in the air; 100 m, 1° and
+    2.5 s for a surface radar.  The last gate is `gate_sd` standard deviations of noise and of what three constants leave
+    over, or `gate_m` metres (60 m for a surface radar).  Targets slower than `min_speed_mps` are left out (surface radars: 2
+    m/s).  `points` plots of a track are compared, `search_tracks` tracks take part in the search.  Without identity at least
+    `min_tracks` tracks must agree. A track without a strong identity needs `min_plots`; it ends after `track_gap_s` without a
+    plot.  `clock_search_s` is how far to look for the clock offset to name in a refusal.  `interpolation` and
+    `reference_gap_s` go to `align.trajectories`.
 
     Raises SettingsError for values that make no sense.
     """
@@ -39,7 +40,7 @@ class AssociationSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     track_gap_s: float | None = None
     use_identity: bool = True
     clock_search_s: float = 5400.0
-    interpolation: Literal["nearest", "linear", "spline"] | None = None
+    interpolation: Literal["nearest", "linear", "cubic", "smooth"] = "cubic"
     reference_gap_s: float | None = None
 
     def __post_init__(self) -> None:
@@ -48,7 +49,8 @@ class AssociationSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
             if value is not None and not value > 0:
                 raise SettingsError(f"{name} = {value} must be positive", where="association")
         for name, least in (
-            ("time_window_s", 0), ("clock_search_s", 0), ("gate_sd", 1), ("points", 2), ("search_tracks", 1), ("min_tracks", 1), ("min_plots", 1),
+            ("time_window_s", 0), ("clock_search_s", 0), ("gate_sd", 1), ("points", 2), ("search_tracks", 1), ("min_tracks", 1),
+            ("min_plots", 1),
         ):  # fmt: skip
             if not getattr(self, name) >= least:
                 raise SettingsError(f"{name} = {getattr(self, name)} must be at least {least}", where="association")
@@ -77,12 +79,12 @@ class Assumed:
 
 _BY_KIND = {
     "surface": Assumed(
-        range_sd_m=5.0, range_window_m=100.0, azimuth_window_rad=float(np.radians(1.0)), scan_s=1.0, speed_mps=120.0, extent_m=15.0,
-        unmodelled_per_m=1e-3, unmodelled_rad=float(np.radians(0.03)), gate_m=60.0, min_speed_mps=2.0,
+        range_sd_m=5.0, range_window_m=100.0, azimuth_window_rad=float(np.radians(1.0)), scan_s=1.0, speed_mps=120.0,
+        extent_m=15.0, unmodelled_per_m=1e-3, unmodelled_rad=float(np.radians(0.03)), gate_m=60.0, min_speed_mps=2.0,
     ),
     "marine": Assumed(
-        range_sd_m=15.0, azimuth_sd_rad=float(np.radians(0.5)), range_window_m=300.0, azimuth_window_rad=float(np.radians(5.0)), scan_s=2.5,
-        speed_mps=40.0, extent_m=20.0, unmodelled_per_m=1e-3, unmodelled_rad=float(np.radians(0.2)),
+        range_sd_m=15.0, azimuth_sd_rad=float(np.radians(0.5)), range_window_m=300.0, azimuth_window_rad=float(np.radians(5.0)),
+        scan_s=2.5, speed_mps=40.0, extent_m=20.0, unmodelled_per_m=1e-3, unmodelled_rad=float(np.radians(0.2)),
     ),
     "psr": Assumed(range_sd_m=80.0, azimuth_sd_rad=float(np.radians(0.15))),
 }  # fmt: skip

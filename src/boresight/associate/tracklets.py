@@ -19,8 +19,8 @@ _SLACK_M = 250.0
 class Tracklets(NamedTuple):
     """Groups of plots: tracklet k holds the rows ``order[start[k]:start[k + 1]]`` of a table, in the order of time.
 
-    `order` (m,) are row numbers, `start` (k + 1,) limits, `number` (k,) the radar's track number (-1 where grouped by identity),
-    `alone` the rows (of those that were asked for) that neither a number nor an identity groups.
+    `order` (m,) are row numbers, `start` (k + 1,) limits, `number` (k,) the radar's track number (-1 where grouped by
+    identity), `alone` the rows (of those that were asked for) that neither a number nor an identity groups.
     """
 
     order: IntArray

@@ -1,0 +1,291 @@
+"""The biases at which a radar's plots and the reference agree, or the reason why there are none.
+
+By identity where both sides carry one, else by votes of all candidates, judged against chance (METHODS section 4).
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from .. import align
+from .._types import BoolArray, FloatArray, IntArray
+from ..errors import NothingToDo
+from ..model import Sensor
+from . import hough, identity, tracklets
+from .hough import Candidates, Peak, Window
+from .scene import Scene, Units, meeting, units_of
+
+# A clock that is farther off than this is worth a sentence.
+_CLOCK_WARNING_S = 0.5
+# Where single plots vote, fewer than this many agreeing ones decide nothing.
+_FEWEST_PLOTS = 20
+
+
+class CoarseBias(msgspec.Struct, frozen=True, kw_only=True):
+    """The biases at which a sensor's pairs were found: measured - true, and stamp - true (positive: stamped late).
+
+    `by` is "identity" or "geometry".  `score` of `tracks` units (tracks, or single plots where the radar has no tracks) agree;
+    `chance` is what the same search gathers on average with spoilt clocks or north (NaN where identity made that needless).
+    """
+
+    sensor: int
+    name: str
+    range_m: float
+    azimuth_rad: float
+    time_s: float
+    by: str
+    score: float
+    tracks: int
+    chance: float
+
+
+def coarse(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names) -> tuple[CoarseBias, list[str]]:
+    """The coarse biases of a radar, by identity if both sides carry one, else by votes.
+
+    Raises NothingToDo where nothing agrees, with what was searched and what to do.
+    """
+    said: list[str] = []
+    start, end = span_of(scene, tracks)
+    strong = None
+    if scene.settings.use_identity and len(tracks):
+        meets = meeting(start, end, scene.reference, scene.window.time_s)
+        links = identity.links(names, scene.reference.names, meets & ~identity.conflict(names, scene.reference.names))
+        strong = links.kind < identity.MODE_3A
+        if np.any(strong):
+            peak, compared = _by_identity(scene, tracks, links.track[strong], links.target[strong])
+            if compared and peak.tracks >= max(1, 0.4 * compared) and not _at_edge(peak, scene.window):
+                return _bias(scene, peak, "identity", compared, np.nan), said
+            if compared:
+                why = f"only {peak.tracks} of them agree on the biases"
+                if _at_edge(peak, scene.window):
+                    why = "the time bias on which they agree lies at the edge of the window or beyond"
+                said.append(f"{scene.sensor.name}: identity pairs {compared} tracks, but {why}")
+    units = _units(scene, tracks)
+    peak, spoilt, looked_at = _by_votes(scene, tracks, names, units)
+    needed = _FEWEST_PLOTS if _single(tracks, units) else scene.settings.min_tracks
+    chance = float(np.mean([p.score for p in spoilt])) if spoilt else 0.0
+    if hough.is_significant(peak, spoilt, needed) and not _at_edge(peak, scene.window):
+        return _bias(scene, peak, "geometry", looked_at, chance), said
+    raise _refusal(scene, tracks, names, units, peak, chance, looked_at, needed, said)
+
+
+def _bias(scene: Scene, peak: Peak, by: str, tracks: int, chance: float) -> CoarseBias:
+    return CoarseBias(
+        sensor=scene.sensor.key, name=scene.sensor.name, range_m=peak.range_m, azimuth_rad=peak.azimuth_rad, time_s=peak.time_s,
+        by=by, score=peak.score, tracks=tracks, chance=chance,
+    )  # fmt: skip
+
+
+def _at_edge(peak: Peak, window: Window) -> bool:
+    """Whether the time bias lies at the edge of its window: the true one may be anywhere beyond."""
+    return window.time_s > 0 and abs(peak.time_s) >= 0.98 * window.time_s
+
+
+def span_of(scene: Scene, tracks: tracklets.Tracklets) -> tuple[FloatArray, FloatArray]:
+    time = scene.plots.time_s
+    return time[tracks.order[tracks.start[:-1]]], time[tracks.order[tracks.start[1:] - 1]]
+
+
+def farthest_travelled(scene: Scene, tracks: tracklets.Tracklets, which: IntArray) -> IntArray:
+    """At most `search_tracks` of the tracklets `which`: those that travel farthest say most."""
+    if len(which) <= scene.settings.search_tracks:
+        return which
+    first, last = tracks.order[tracks.start[which]], tracks.order[tracks.start[which + 1] - 1]
+    distance, azimuth = scene.plots.range_m, scene.plots.azimuth_rad
+    travel = np.hypot(
+        distance[last] * np.sin(azimuth[last]) - distance[first] * np.sin(azimuth[first]),
+        distance[last] * np.cos(azimuth[last]) - distance[first] * np.cos(azimuth[first]),
+    )
+    return np.sort(which[np.argsort(-travel, kind="stable")[: scene.settings.search_tracks]])
+
+
+def _by_identity(scene: Scene, tracks: tracklets.Tracklets, track: IntArray, target: IntArray) -> tuple[Peak, int]:
+    """The peak of the pairs that identity proposes, and how many tracks could be compared.
+
+    Ranges and azimuths are searched three times as far as without identity, because no false candidate is in the way.
+    """
+    which = farthest_travelled(scene, tracks, np.unique(track))
+    use = np.isin(track, which)
+    units = units_of(*tracklets.sample(tracks, scene.settings.points, which))
+    c = scene.candidates(units, (track[use], target[use]), window=None)
+    wide = Window(3 * scene.window.range_m, 3 * scene.window.azimuth_rad, scene.window.time_s)
+    if len(c.track) < max(3, scene.settings.min_plots):
+        # Three biases explain fewer plots than that whatever they are.
+        return hough.NO_PEAK, 0
+    share = np.bincount(c.track, c.weight, minlength=1)
+    return hough.search_peak(c, wide), int(np.sum(share >= 0.3))
+
+
+def _units(scene: Scene, tracks: tracklets.Tracklets) -> Units:
+    """What votes without identity: tracklets, or single plots where there are hardly any tracklets."""
+    long = np.flatnonzero(tracks.length >= scene.settings.min_plots)
+    if len(long) >= scene.settings.min_tracks or not len(tracks.alone):
+        return units_of(*tracklets.sample(tracks, scene.settings.points, farthest_travelled(scene, tracks, long)))
+    alone = tracks.alone
+    some = alone[np.linspace(0, len(alone) - 1, min(len(alone), 1500)).astype(np.int64)]
+    return units_of(len(tracks) + np.arange(len(some)), some)
+
+
+def _single(tracks: tracklets.Tracklets, units: Units) -> bool:
+    """Whether single plots vote: their numbers come after the tracklets'."""
+    return bool(len(units.unit) and units.unit[0] >= len(tracks))
+
+
+def _votes(
+    scene: Scene, tracks: tracklets.Tracklets, names: identity.Names, units: Units, window: Window, **change: object
+) -> Candidates:
+    """Every unit against every target that its identity does not exclude."""
+    who = np.unique(units.unit)
+    targets = len(scene.reference.start_s)
+    possible = np.ones((len(who), targets), bool)
+    if scene.settings.use_identity and len(who) and who[0] < len(tracks):
+        possible = ~identity.conflict(identity.Names(names.value[:, who]), scene.reference.names)
+    if not change:
+        time = scene.plots.time_s[units.row]
+        low, high = np.full(len(who), np.inf), np.full(len(who), -np.inf)
+        at = np.searchsorted(who, units.unit)
+        np.minimum.at(low, at, time)
+        np.maximum.at(high, at, time)
+        possible &= meeting(low, high, scene.reference, window.time_s)
+    unit, target = np.nonzero(possible)
+    return scene.candidates(units, (who[unit], target), window=window, **change)  # type: ignore[arg-type]
+
+
+def _by_votes(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names, units: Units) -> tuple[Peak, list[Peak], int]:
+    """The peak of all candidates, the peaks with spoilt clocks and north, and how many units took part."""
+    looked_at = len(np.unique(units.unit))
+    if not looked_at:
+        return hough.NO_PEAK, [], 0
+    peak = hough.search_peak(_votes(scene, tracks, names, units, scene.window), scene.window)
+    if peak.tracks == 0:
+        return peak, [], looked_at
+    # Chance, measured: the same traffic at other times (routes stay, company changes), and turned about the radar.
+    first = max(float(scene.plots.time_s[units.row].min()), float(scene.reference.start_s.min()))
+    last = min(float(scene.plots.time_s[units.row].max()), float(scene.reference.fixes.time_s[scene.reference.order].max()))
+    spoilt = []
+    for part in (0.23, 0.41, 0.59, 0.77):
+        if last - first > 4 * scene.window.time_s:
+            change = {"shift_s": part * (last - first), "cycle_s": (first, last)}
+            spoilt.append(hough.search_peak(_votes(scene, tracks, names, units, scene.window, **change), scene.window))
+    for turn in (50.0, 140.0, 215.0, 305.0):
+        spoilt.append(
+            hough.search_peak(_votes(scene, tracks, names, units, scene.window, turn_rad=np.radians(turn)), scene.window)
+        )
+    return peak, spoilt, looked_at
+
+
+def _refusal(
+    scene: Scene,
+    tracks: tracklets.Tracklets,
+    names: identity.Names,
+    units: Units,
+    peak: Peak,
+    chance: float,
+    looked_at: int,
+    needed: int,
+    said: list[str],
+) -> NothingToDo:
+    """Why no biases were found, and what to do; the clock offset where something tells it."""
+    window, name = scene.window, scene.sensor.name
+    searched = f"{window.range_m:.0f} m, ±{np.degrees(window.azimuth_rad):.1f}° and ±{window.time_s:.1f} s"
+    what = "plots" if _single(tracks, units) else "tracks"
+    because = f"{said[-1]}; " if said else f"{name}: "
+    late = _probable_offset(scene, tracks, names, units)
+    if late is not None:
+        way = "late" if late > 0 else "early"
+        return NothingToDo(
+            f"{because}the clocks of radar and reference look {_duration(abs(late))} apart (the radar's stamps are {way}), "
+            f"and only ±{window.time_s:.1f} s was searched",
+            remedy=f"If that is so, set time_offset_s = {late + scene.sensor.time_offset_s:.1f} for {name!r} in sensors.toml.",
+        )
+    if looked_at < needed and not _single(tracks, units):
+        return NothingToDo(
+            f"{because}its {len(tracks.order)} plots form {looked_at or 'no'} track{'s' * (looked_at != 1)} of at least "
+            f"{scene.settings.min_plots} plots, which cannot be told from chance without an identity; {needed} are needed",
+            remedy="Record longer, or use a reference and a radar that both give an identity (Mode S address, MMSI, callsign).",
+        )
+    return NothingToDo(
+        f"{because}nothing agrees with the reference better than chance: within ±{searched} the best biases "
+        f"explain {peak.score:.1f} of {looked_at} {what}, where spoilt clocks or north explain {chance:.1f}",
+        remedy="Check the radar's position and both clocks; a known clock offset is given as time_offset_s in sensors.toml.",
+    )
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 120 else f"{seconds:.0f} s ({seconds / 60:.1f} minutes)"
+
+
+def _probable_offset(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names, units: Units) -> float | None:
+    """The clock offset (stamp - true) that would make tracks meet targets at the same places, if it explains them; else None."""
+    from scipy.spatial import cKDTree
+
+    reach = scene.settings.clock_search_s
+    if reach <= scene.window.time_s or not len(units.unit):
+        return None
+    plots, reference = scene.plots, scene.reference
+    first, last = float(plots.time_s[units.row].min()) - reach, float(plots.time_s[units.row].max()) + reach
+    step = 5.0
+    low, high = np.maximum(reference.start_s, first), np.minimum(reference.end_s, last)
+    count = np.maximum(np.floor((high - low) / step).astype(np.int64) + 1, 0)
+    if not 0 < count.sum() <= 2_000_000:
+        return None
+    target = np.repeat(np.arange(len(low)), count)
+    time = low[target] + step * (np.arange(len(target)) - np.repeat(np.cumsum(count) - count, count))
+    states = align.states(reference.trajectories, target, time)
+    moving = states.valid & (np.linalg.norm(states.velocity, axis=1) >= scene.assumed.min_speed_mps)
+    target, time = target[moving], time[moving]
+    enu = (states.position[moving] - scene.site) @ scene.enu_from_ecef.T
+    slant = np.linalg.norm(enu, axis=1) / np.maximum(np.hypot(enu[:, 0], enu[:, 1]), 1.0)
+    distance, azimuth = plots.range_m[units.row], scene.azimuth_rad[units.row]
+    radius = scene.window.range_m + 0.5 * scene.window.azimuth_rad * float(np.median(distance))
+    here = np.stack([distance * np.sin(azimuth), distance * np.cos(azimuth)], axis=1)
+    there = enu[:, :2] * slant[:, None]
+    if not len(there):
+        return None
+    near = cKDTree(here).sparse_distance_matrix(cKDTree(there), radius, output_type="coo_matrix")
+    point, fix, gap = near.row.astype(np.int64), near.col.astype(np.int64), near.data
+    known = _known_pairs(scene, tracks, names, units)
+    if known is not None:
+        keep = known[units.unit[point], target[fix]]
+        point, fix, gap = point[keep], fix[keep], gap[keep]
+    # Of each pass of a target only the nearest approach votes: the passes' lengths would blur the offset.
+    by = np.lexsort((gap, target[fix], point))
+    nearest = by[np.r_[True, (np.diff(point[by]) != 0) | (np.diff(target[fix][by]) != 0)]] if len(by) else by
+    point, fix = point[nearest], fix[nearest]
+    late, agree, chance = hough.shared_offset(plots.time_s[units.row], units.unit, time, (point, fix), 2 * step)
+    if agree < (1 if known is not None else 3) or (known is None and agree < 2 * chance):
+        return None
+    # The meeting only says where to look: the biases themselves must then agree.
+    around = scene.window._replace(time_s=max(scene.window.time_s, 4 * step))
+    who = np.unique(units.unit)
+    possible = known[who] if known is not None else np.ones((len(who), len(low)), bool)
+    unit, j = np.nonzero(possible)
+    peak = hough.search_peak(scene.candidates(units, (who[unit], j), window=around, shift_s=-late), around)
+    if peak.tracks < max(scene.settings.min_tracks if known is None else 1, 0.5 * agree):
+        return None
+    return late + peak.time_s
+
+
+def _known_pairs(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names, units: Units) -> BoolArray | None:
+    """Which units and targets carry the same strong identity, whenever they were seen; None where no two do."""
+    if not scene.settings.use_identity or not len(tracks) or units.unit[0] >= len(tracks):
+        return None
+    anywhen = np.ones((len(tracks), len(scene.reference.start_s)), bool)
+    found = identity.links(names, scene.reference.names, anywhen)
+    strong = found.kind < identity.MODE_3A
+    if not np.any(np.isin(found.track[strong], units.unit)):
+        return None
+    out = np.zeros_like(anywhen)
+    out[found.track[strong], found.target[strong]] = True
+    return out
+
+
+def clock_words(sensor: Sensor, bias: CoarseBias) -> list[str]:
+    if abs(bias.time_s) < _CLOCK_WARNING_S:
+        return []
+    way = "late" if bias.time_s > 0 else "early"
+    return [
+        f"{sensor.name}: the radar's stamps are about {abs(bias.time_s):.1f} s {way} against the reference; "
+        "pairs keep their stamps, and a model with time_offset estimates it"
+    ]
