@@ -16,7 +16,14 @@ from boresight.model import Channel, Pairs, Plots, Sensor, Sensors
 from boresight.terms import TERMS, Geometry
 
 START_S = 1_700_000_000.0
-TRUTH = {"range_bias": 180.0, "range_gain": 0.6, "azimuth_bias": -0.35, "azimuth_cos": 0.12, "azimuth_sin": 0.0, "time_offset": 0.4}
+TRUTH = {
+    "range_bias": 180.0,
+    "range_gain": 0.6,
+    "azimuth_bias": -0.35,
+    "azimuth_cos": 0.12,
+    "azimuth_sin": 0.0,
+    "time_offset": 0.4,
+}
 
 
 @dataclass(frozen=True)
@@ -49,11 +56,12 @@ def make_scene(
     for k, sensor in enumerate(sensors):
         n = aircraft * plots_each
         target = np.repeat(np.arange(aircraft), plots_each)
-        time = START_S + np.tile(np.arange(plots_each) * 4.0, aircraft) + random.uniform(0, 4 + 20 * aircraft, aircraft)[target]
+        own = np.tile(np.arange(plots_each) * 4.0, aircraft)
+        time = START_S + own + random.uniform(0, 3600, aircraft)[target]
         height = random.uniform(2000, 11500, aircraft)[target]
         course = random.uniform(0, 2 * np.pi, aircraft)[target]
         speed = random.uniform(90, 250, aircraft)[target]
-        since = time - START_S - 240 - 10 * aircraft
+        since = own - 2.0 * plots_each + random.uniform(-200, 200, aircraft)[target]
         aside = random.uniform(-70e3, 70e3, aircraft)[target]
         east = aside * np.cos(course) + since * speed * np.sin(course)
         north = -aside * np.sin(course) + since * speed * np.cos(course)
@@ -62,7 +70,13 @@ def make_scene(
         position = ecef_from_geodetic(lat, lon, height)
         level = enu_from_ecef(lat, lon)
         velocity = rotate_back(level, np.stack([speed * np.sin(course), speed * np.cos(course), np.zeros(n)], axis=1))
-        mine = Plots(time_s=time, sensor=np.full(n, sensor.key), channel=np.full(n, Channel.MODE_S), range_m=np.ones(n), azimuth_rad=np.zeros(n))
+        mine = Plots(
+            time_s=time,
+            sensor=np.full(n, sensor.key),
+            channel=np.full(n, Channel.MODE_S),
+            range_m=np.ones(n),
+            azimuth_rad=np.zeros(n),
+        )
         site, rotation = sites(mine, sensors)
         values = {name: value * (1 - 0.6 * k) for name, value in TRUTH.items()} | ({"elevation_bias": 0.2} if elevation else {})
         truth[sensor.name] = values

@@ -1,7 +1,8 @@
 """Residuals: what every paired plot is off by, before and after correction.
 
-Before: measured - reference at the plot's stamp.  After: the corrected plot - reference at the corrected stamp, with the errors of
-the calibration evaluated at the reference (METHODS section 6), so that terms of heading and length apply wherever the reference knows them.
+Before: measured - reference at the plot's stamp.  After: the corrected plot - reference at the corrected stamp, with the errors
+of the calibration evaluated at the reference (METHODS section 6), so that terms of heading and length apply wherever the
+reference knows them.
 """
 
 # ruff: noqa: RUF009  (columns are declared by a call that returns a dataclass field)
@@ -17,18 +18,21 @@ from ..calibration import Calibration
 from ..geodesy import enu_from_ecef, geodetic_from_ecef, rotate
 from ..measure import polar_from_enu, polar_motion, position_from_height, sites, true_azimuth, wrap_rad
 from ..model import Channel, Pairs, Sensors, _column, _float, _Table
+from ..register.observe import fill_lengths
 from ..terms import TERMS, Geometry
 
 _LEAST_SPEED_MPS = 1.0
+# Rows that are worked on at a time: large enough for NumPy, small enough for the processor's cache.
+_CHUNK = 1 << 14
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals(_Table):
     """What every paired plot is off by (measured - reference), one row a pair, in the order of the pairs.
 
-    The reference's range, azimuth, elevation are about the sensor at the plot's stamp, height is ellipsoidal; course is NaN below 1 m/s.
-    Elevation residuals are NaN where no elevation was measured.  East, north and distance are horizontal at the target, with the
-    plot put at the reference's height; along and across (positive to the right) follow the reference's course.  Latitude and
+    The reference's range, azimuth, elevation are about the sensor at the plot's stamp, height is ellipsoidal; course is NaN below
+    1 m/s.  Elevation residuals are NaN where no elevation was measured.  East, north and distance are horizontal at the target,
+    with the plot put at the reference's height; along and across (positive to the right) follow the reference's course.  Latitude and
     longitude are those of the reference, and of the plot before and after.
     """
 
@@ -72,11 +76,17 @@ class Residuals(_Table):
 def residuals(pairs: Pairs, sensors: Sensors, calibration: Calibration) -> Residuals:
     """What every paired plot is off by, before and after the errors of `calibration` are taken away.
 
-    Terms of other sensors or channels than a plot's own do not touch it; a calibration over time is interpolated linearly and held
-    beyond its ends.  Where a term needs a heading or a length that the reference lacks, it is 0 for that plot.  Raises SettingsError
-    for a sensor without an entry or a position in `sensors`.
+    Terms of other sensors or channels than a plot's own do not touch it; a calibration over time is interpolated linearly and
+    held beyond its ends.  Lengths of targets are filled in as `register` does; where a term needs a heading or a length that
+    nothing tells, it is 0 for that plot.  Raises SettingsError for a sensor without an entry or a position in `sensors`.
     """
+    pairs = fill_lengths(pairs)
+    return Residuals.concat([_residuals(pairs[k : k + _CHUNK], sensors, calibration) for k in range(0, len(pairs), _CHUNK)])
+
+
+def _residuals(pairs: Pairs, sensors: Sensors, calibration: Calibration) -> Residuals:
     plots = pairs.plots
+    pairs = pairs.replace(velocity=np.nan_to_num(pairs.velocity), acceleration=np.nan_to_num(pairs.acceleration))
     site, rotation = sites(plots, sensors)
     measured = np.stack([plots.range_m, true_azimuth(plots, sensors), plots.elevation_rad], axis=1)
     lat, lon, height = geodetic_from_ecef(pairs.position)
@@ -86,7 +96,7 @@ def residuals(pairs: Pairs, sensors: Sensors, calibration: Calibration) -> Resid
     course = np.where(speed >= _LEAST_SPEED_MPS, np.arctan2(velocity[:, 0], velocity[:, 1]) % (2 * np.pi), np.nan)
 
     late = _values(pairs, calibration, "time_offset")
-    moved = pairs.position - late[:, None] * pairs.velocity + 0.5 * late[:, None] ** 2 * np.nan_to_num(pairs.acceleration)
+    moved = pairs.position - late[:, None] * pairs.velocity + 0.5 * late[:, None] ** 2 * pairs.acceleration
     at_stamp = polar_from_enu(rotate(rotation, pairs.position - site))
     error, at_true = _errors(pairs, calibration, rotate(rotation, moved - site), rotation, late)
     corrected = measured - error
@@ -150,7 +160,7 @@ def _errors(
     pairs: Pairs, calibration: Calibration, enu: FloatArray, rotation: FloatArray, late: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """The calibration's errors (n, 3) but for the time offset, and the polar position (n, 3), of targets at `enu` (n, 3)."""
-    acceleration = rotate(rotation, np.nan_to_num(pairs.acceleration))
+    acceleration = rotate(rotation, pairs.acceleration)
     velocity = rotate(rotation, pairs.velocity) - late[:, None] * acceleration
     polar, rate, second, third = polar_motion(enu, velocity, acceleration)
     geometry = Geometry(

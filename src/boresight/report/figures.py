@@ -7,7 +7,9 @@ axis is ever empty).  Numbers are computed from all pairs; the points behind the
 
 from __future__ import annotations
 
+import base64
 import io
+import itertools
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -25,8 +27,9 @@ if TYPE_CHECKING:
     from ..assess.residuals import Residuals
     from ..calibration import Calibration
 
-MAX_POINTS = 5000
-WIDTH_IN = 10.5
+MAX_POINTS = 4000
+MAX_TRACKS = 300
+WIDTH_IN = 9.6
 DEG = np.pi / 180.0
 
 # Orange and blue stay apart for every kind of colour blindness; the dark shades carry lines, the light ones points.
@@ -35,6 +38,7 @@ AFTER, AFTER_LIGHT = "#0b559f", "#4a98d9"
 INK, QUIET, RULE = "#1c2126", "#6b737c", "#d9dde1"
 _NORMAL_SD_PER_MAD = 1.4826
 _BARE = re.compile(r"<metadata>.*?</metadata>\s*", re.DOTALL)
+_PNG = re.compile(r"data:image/png;base64,\s*([A-Za-z0-9+/=\s]+)")
 _FONT = re.compile(r"'DejaVu Sans'(?:, [^;\"]*)?(?=[;\"])")
 
 
@@ -63,14 +67,20 @@ class Quantity(NamedTuple):
 
 
 def quantities(r: Residuals) -> tuple[Quantity, ...]:
-    """Range (m), azimuth (degrees) and, where the radar measures it, elevation (degrees)."""
-    found = [
+    """Range (m), azimuth (degrees) and elevation (degrees): those of them that are known."""
+    return _known(
         Quantity("range", "m", r.range_before_m, r.range_after_m),
         Quantity("azimuth", "°", r.azimuth_before_rad / DEG, r.azimuth_after_rad / DEG),
-    ]
-    if np.isfinite(r.elevation_before_rad).any():
-        found.append(Quantity("elevation", "°", r.elevation_before_rad / DEG, r.elevation_after_rad / DEG))
-    return tuple(found)
+        Quantity("elevation", "°", r.elevation_before_rad / DEG, r.elevation_after_rad / DEG),
+    )
+
+
+def _distance(r: Residuals) -> tuple[Quantity, ...]:
+    return _known(Quantity("horizontal", "m", r.distance_before_m, r.distance_after_m))
+
+
+def _known(*quantity: Quantity) -> tuple[Quantity, ...]:
+    return tuple(q for q in quantity if np.isfinite(q.before).any() and np.isfinite(q.after).any())
 
 
 def robust_sd(values: FloatArray) -> float:
@@ -97,7 +107,7 @@ def binned(x: FloatArray, y: FloatArray, edges: FloatArray, least: int = 8) -> B
     order = np.argsort(which, kind="stable")
     bounds = np.searchsorted(which[order], np.arange(len(edges)))
     rows = []
-    for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
+    for start, stop in itertools.pairwise(bounds.tolist()):
         if stop - start >= least:
             part = order[start:stop]
             low, middle, high = np.percentile(y[part], (16, 50, 84))
@@ -109,6 +119,8 @@ def binned(x: FloatArray, y: FloatArray, edges: FloatArray, least: int = 8) -> B
 def _edges(x: FloatArray, bins: int) -> FloatArray:
     """Bin edges that hold about equally many values, so that thin ends of an axis do not get wild medians."""
     known = x[np.isfinite(x)]
+    if not len(known):
+        return np.array([0.0, 1.0])
     bins = max(1, min(bins, len(known) // 24))
     edges: FloatArray = np.unique(np.quantile(known, np.linspace(0, 1, bins + 1)))
     return edges if len(edges) > 1 else np.array([edges[0] - 0.5, edges[0] + 0.5])
@@ -168,24 +180,29 @@ def _style(name: str) -> Iterator[None]:
 
 
 def _panels(
-    rows: int, columns: int, height_in: float, *, left: float = 0.72, right: float = 0.12, top: float = 0.5, bottom: float = 0.5,
-    gap: tuple[float, float] = (0.62, 0.45), widths: Sequence[float] | None = None,
-) -> tuple[Figure, list[list[Axes]]]:  # fmt: skip
+    rows: int,
+    columns: int,
+    height_in: float,
+    *,
+    left: float = 0.72,
+    right: float = 0.12,
+    top: float = 0.5,
+    bottom: float = 0.5,
+    gap: tuple[float, float] = (0.62, 0.45),
+) -> tuple[Figure, list[list[Axes]]]:
     """A figure of the page's width with a grid of axes, all margins in inches."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(WIDTH_IN, height_in), facecolor="white")
-    share = np.asarray(widths if widths is not None else [1.0] * columns, np.float64)
-    free = WIDTH_IN - left - right - gap[0] * (columns - 1)
-    wide = free * share / share.sum()
+    wide = (WIDTH_IN - left - right - gap[0] * (columns - 1)) / columns
     high = (height_in - top - bottom - gap[1] * (rows - 1)) / rows
     axes = []
     for i in range(rows):
-        x, row = left, []
+        row = []
         for j in range(columns):
             y = height_in - top - (i + 1) * high - i * gap[1]
-            row.append(figure.add_axes((x / WIDTH_IN, y / height_in, wide[j] / WIDTH_IN, high / height_in)))
-            x += wide[j] + gap[0]
+            x = left + j * (wide + gap[0])
+            row.append(figure.add_axes((x / WIDTH_IN, y / height_in, wide / WIDTH_IN, high / height_in)))
         axes.append(row)
     return figure, axes
 
@@ -193,8 +210,8 @@ def _panels(
 def _svg(figure: Figure, name: str) -> str:
     """The figure as an SVG element whose ids begin with `name`, so that many can stand in one page."""
     out = io.StringIO()
-    figure.savefig(out, format="svg", dpi=170, metadata={"Date": None, "Creator": None})
-    text = _BARE.sub("", out.getvalue())
+    figure.savefig(out, format="svg", dpi=150, metadata={"Date": None, "Creator": None})
+    text = _PNG.sub(_smaller, _BARE.sub("", out.getvalue()))
     text = text[text.index("<svg") :]
     text = re.sub(r'\bid="', f'id="{name}-', text)
     text = re.sub(r'href="#', f'href="#{name}-', text)
@@ -204,6 +221,21 @@ def _svg(figure: Figure, name: str) -> str:
     return re.sub(r'(<svg[^>]*?) width="[^"]*pt"', r"\1", re.sub(r'(<svg[^>]*?) height="[^"]*pt"', r"\1", text, count=1), count=1)
 
 
+def _smaller(match: re.Match[str]) -> str:
+    """An embedded picture in 48 colours: clouds of points lose nothing to the eye and take a third of the room."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(base64.b64decode(match[1]))) as picture:
+        few = picture.convert("RGBA").quantize(48, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        out = io.BytesIO()
+        few.save(out, "PNG", compress_level=7)
+    return (
+        f"data:image/png;base64,{base64.b64encode(out.getvalue()).decode()}"
+        if len(out.getvalue()) < 0.75 * len(match[1])
+        else match[0]
+    )
+
+
 def _some(n: int, most: int = MAX_POINTS) -> IntArray:
     """At most `most` of `n` rows, spread over all of them; always the same ones."""
     if n <= most:
@@ -211,10 +243,10 @@ def _some(n: int, most: int = MAX_POINTS) -> IntArray:
     return np.sort(np.random.default_rng(20160510).choice(n, most, replace=False))
 
 
-def _points(axes: Axes, x: FloatArray, y: FloatArray, colour: str, *, size: float = 2.2, alpha: float | None = None) -> None:
+def _points(axes: Axes, x: FloatArray, y: FloatArray, colour: str, *, size: float) -> None:
     axes.plot(
         x, y, linestyle="none", marker="o", markersize=size, markeredgewidth=0, color=colour,
-        alpha=alpha if alpha is not None else float(np.clip(60 / np.sqrt(max(len(x), 1)), 0.18, 0.8)), rasterized=len(x) > 400, zorder=2,
+        alpha=float(np.clip(18 / np.sqrt(max(len(x), 1)), 0.15, 0.85)), rasterized=len(x) > 400, zorder=2,
     )  # fmt: skip
 
 
@@ -284,8 +316,18 @@ def _line(colour: str, width: float = 1.6, style: Any = "-") -> Any:
     return Line2D([], [], color=colour, linewidth=width, linestyle=style)
 
 
+def _band(colour: str) -> Any:
+    from matplotlib.patches import Patch
+
+    return Patch(facecolor=colour, alpha=0.3, linewidth=0)
+
+
+def _targets(n: int) -> str:
+    return f"{_count(n)} {'target' if n == 1 else 'targets'}"
+
+
 def _count(n: int) -> str:
-    return f"{n:,}".replace(",", "\u2009")
+    return f"{n:,}".replace(",", "\u202f")
 
 
 def _sampled(n: int) -> str:
@@ -344,7 +386,7 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
     high = np.array([max(x_lim[1], 0.0), max(y_lim[1], 0.0)])
     size = float(max(*(high - low), 100.0))
     centre = (low + high) / 2
-    extent = np.maximum(high - low, 0.45 * size) + 0.08 * size
+    extent = np.maximum(high - low, 0.45 * size) + 0.16 * size
     low, high = centre - extent / 2, centre + extent / 2
 
     cells = 24
@@ -375,7 +417,10 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
         low[0], high[0] = centre[0] - extent[0] / 2, centre[0] + extent[0] / 2
     with _style(name):
         figure, ((left, right),) = _panels(1, 2, height + 0.95, top=0.5, bottom=0.45)
-        line_x, line_y = _paths(r, good, x, y)
+        names, which = np.unique(r.track[good] * 1_000_003 + r.target[good], return_inverse=True)
+        drawn = np.zeros(len(r), np.bool_)
+        drawn[good] = np.isin(which, _some(len(names), MAX_TRACKS))
+        line_x, line_y = _paths(r, drawn, x, y)
         key = _round_number(typical)
         for axes, title, colour, east, north in (
             (left, "Before correction", BEFORE, arrow[:, 2], arrow[:, 3]),
@@ -384,7 +429,8 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
             axes.plot(line_x / 1e3, line_y / 1e3, color="#b9bfc6", linewidth=0.6, rasterized=len(line_x) > 1500, zorder=1)
             axes.quiver(
                 arrow[:, 0] / 1e3, arrow[:, 1] / 1e3, east / 1e3 * magnify, north / 1e3 * magnify, color=colour, angles="xy",
-                scale_units="xy", scale=1.0, width=0.0028, headwidth=3.6, headlength=4.2, headaxislength=3.8, minlength=0.6, zorder=3,
+                scale_units="xy", scale=1.0, width=0.0028, headwidth=3.6, headlength=4.2, headaxislength=3.8, minlength=0.6,
+                zorder=3,
             )  # fmt: skip
             axes.plot(
                 [0],
@@ -428,10 +474,15 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
         svg = _svg(figure, name)
     scale = f"lengthened {magnify:g} times" if magnify > 1 else "at the map's scale"
     caption = (
-        f"Where the plots lie against the reference. Each arrow leads from the reference to the median position of the radar's plots in "
+        f"Where the plots lie against the reference. Each arrow leads from the reference to the median position "
+        "of the radar's plots in "
         f"a map cell of {cell / 1e3:.2g} km, {scale}, the same in both panels; cells with fewer than {least} plots have none. "
         f"What is left after correction should be short and point in no common direction. {_count(n)} plots."
     )
+    if len(names) > MAX_TRACKS:
+        caption += (
+            f" Grey lines show a random choice of {_count(MAX_TRACKS)} of the {_count(len(names))} tracks; the arrows use all."
+        )
     return Drawing(name, svg, caption, "Two maps of error arrows, before and after correction")
 
 
@@ -445,15 +496,15 @@ def zoom_figure(r: Residuals, name: str) -> Drawing | None:
     index = index[np.lexsort((r.time_s[index], r.track[index], r.target[index]))]
     label = np.cumsum(np.r_[True, (np.diff(r.track[index]) != 0) | (np.diff(r.target[index]) != 0)]) - 1
     groups = np.split(index, np.flatnonzero(np.diff(label)) + 1)
-    typical = float(np.median(r.distance_before_m[index]))
+    typical = float(np.median(np.hypot(r.east_before_m, r.north_before_m)[index]))
     steps = np.hypot(np.diff(x[index]), np.diff(y[index]))[np.diff(label) == 0]
     steps = steps[steps > 1.0]
     wide = max(7.0 * typical, 9.0 * float(np.median(steps)) if len(steps) else 0.0, 20.0)
 
+    # Looking at every track of a long recording would take seconds; of those with most plots, a few dozen are plenty.
+    groups = sorted((g for g in groups if len(g) >= 3), key=lambda g: (-len(g), int(g[0])))[:60]
     windows = []
     for rows in groups:
-        if len(rows) < 3:
-            continue
         best, count = -1, 0
         for middle in rows[_some(len(rows), 12)]:
             inside = (np.abs(x[rows] - x[middle]) < 0.42 * wide) & (np.abs(y[rows] - y[middle]) < 0.42 * wide)
@@ -476,7 +527,9 @@ def zoom_figure(r: Residuals, name: str) -> Drawing | None:
             spare.remove()
         for axes, (_, middle, rows) in zip(row, chosen, strict=False):
             near = (np.abs(x[rows] - x[middle]) < 0.75 * wide) & (np.abs(y[rows] - y[middle]) < 0.75 * wide)
-            inside = rows[near][:400]
+            inside = rows[near]
+            nearest = np.argsort(np.hypot(x[inside] - x[middle], y[inside] - y[middle]), kind="stable")[:80]
+            inside = inside[np.sort(nearest)]
             px, py = x[inside] - x[middle], y[inside] - y[middle]
             axes.plot(*_joined(r, inside, px, py), color="#9aa2aa", linewidth=1.3, zorder=1)
             axes.plot(px, py, linestyle="none", marker="o", markersize=2.6, color="#6b737c", markeredgewidth=0, zorder=2)
@@ -519,8 +572,9 @@ def zoom_figure(r: Residuals, name: str) -> Drawing | None:
         )
         svg = _svg(figure, name)
     caption = (
-        "The same at true scale: one stretch of track each from the near, the middle and the far plots, chosen where plots are densest. A thin line joins "
-        "every plot to its reference. After correction the plots should lie about the reference on all sides."
+        "The same at true scale: one stretch of track each from the near, the middle and the far plots, chosen where plots are "
+        "densest. A thin line joins every plot to its reference. After correction the plots should lie about the "
+        "reference on all sides."
     )
     return Drawing(name, svg, caption, "Close-ups of tracks with raw and corrected plots")
 
@@ -551,6 +605,8 @@ def residual_figure(r: Residuals, name: str) -> Drawing | None:
     against = [(label, x) for label, x in against if np.isfinite(x).any()]
     shown = quantities(r)
     outside = 0
+    if not shown or not against:
+        return None
     with _style(name):
         figure, grid = _panels(
             len(shown), len(against), 0.98 + 1.95 * len(shown) + 0.16 * (len(shown) - 1), gap=(0.18, 0.16), top=0.45, bottom=0.48
@@ -562,9 +618,11 @@ def residual_figure(r: Residuals, name: str) -> Drawing | None:
                 axes = grid[i][j]
                 some = _some(len(r))
                 for values, light in ((quantity.before, BEFORE_LIGHT), (quantity.after, AFTER_LIGHT)):
-                    _points(axes, x[some], values[some], light, size=1.8)
+                    _points(axes, x[some], values[some], light, size=1.8 if len(r) > 400 else 3.0)
                 axes.axhline(0, color=INK, linewidth=0.7, zorder=2.5)
-                edges = azimuth_edges(len(r)) if label.startswith("azimuth") else _edges(x, 24)
+                edges = (
+                    azimuth_edges(len(r)) if label.startswith("azimuth") else _edges(x, 12 if label.startswith("speed") else 24)
+                )
                 for values, dark in ((quantity.before, BEFORE), (quantity.after, AFTER)):
                     b = binned(x, values, edges)
                     axes.fill_between(b.centre, b.low, b.high, color=dark, alpha=0.14, linewidth=0, zorder=3)
@@ -587,9 +645,10 @@ def residual_figure(r: Residuals, name: str) -> Drawing | None:
         _residual_legend(figure)
         svg = _svg(figure, name)
     caption = (
-        "Measured minus reference, before and after correction, against range, azimuth, time and the target's speed. Light points are "
-        "plots, lines are medians of bins, bands hold the middle 68 % of each bin. A line that still slopes or waves after correction is an error "
-        f"that the chosen terms do not describe.{_sampled(len(r))}"
+        "Measured minus reference, before and after correction, against range, azimuth, time and the target's "
+        "speed. Light points "
+        "are plots, lines are medians of bins, bands hold the middle 68 % of each bin. A line that still slopes or waves after "
+        f"correction is an error that the chosen terms do not describe.{_sampled(len(r))}"
     )
     if outside:
         caption += f" {_count(outside)} values lie outside the axes."
@@ -622,16 +681,19 @@ def target_figure(r: Residuals, name: str, labels: dict[int, str]) -> Drawing | 
     """Every target's median error in each channel and in horizontal distance, before and after correction."""
     if not len(r):
         return None
-    shown = [*quantities(r), Quantity("horizontal", "m", r.distance_before_m, r.distance_after_m)]
+    shown = [*quantities(r), *_distance(r)]
+    if not shown:
+        return None
     order = np.argsort(r.target, kind="stable")
     targets, start = np.unique(r.target[order], return_index=True)
     groups = np.split(order, start[1:])
-    rank = np.argsort([np.nanmedian(r.distance_before_m[g]) for g in groups], kind="stable")
+    rank = np.argsort([_quartiles(r.distance_before_m[g])[1] for g in groups], kind="stable")
     n = len(targets)
     named = n <= 48
     at = np.arange(n, dtype=np.float64)
     with _style(name):
-        bottom = 0.82 if named and n > 1 else 0.5
+        words = [labels.get(int(targets[k]), str(targets[k])) for k in rank] if named else []
+        bottom = 0.46 + (0.055 * max(map(len, words)) if n > 8 and named else 0.0)
         figure, grid = _panels(
             len(shown), 1, 0.45 + bottom + 1.25 * len(shown) + 0.14 * (len(shown) - 1), gap=(0.0, 0.14), top=0.45, bottom=bottom
         )
@@ -650,15 +712,14 @@ def target_figure(r: Residuals, name: str, labels: dict[int, str]) -> Drawing | 
             axes.axhline(0, color=INK, linewidth=0.7)
             axes.set_ylabel(quantity.label if quantity.name != "horizontal" else "distance (m)")
             axes.set_ylim(*_limits(*ends, share=0.2))
-            axes.set_xlim(-0.7, n - 0.3)
+            spare = max(0.7, (8 - n) / 2)
+            axes.set_xlim(-spare, n - 1 + spare)
             axes.grid(False, axis="x")
             axes.set_xticks([])
             axes.margins(y=0.05)
         last = grid[-1][0]
         if named:
-            last.set_xticks(
-                at, [labels.get(int(targets[k]), str(targets[k])) for k in rank], rotation=90 if n > 8 else 0, fontsize=6.5
-            )
+            last.set_xticks(at, words, rotation=90 if n > 8 else 0, fontsize=6.5)
         else:
             last.set_xticks(
                 np.unique(np.linspace(0, n - 1, 9).astype(int)),
@@ -668,9 +729,10 @@ def target_figure(r: Residuals, name: str, labels: dict[int, str]) -> Drawing | 
         _legend(figure, [(_dot(BEFORE), "before"), (_dot(AFTER), "after")])
         svg = _svg(figure, name)
     caption = (
-        f"Every target by itself, in the order of its raw error ({_count(n)} targets): median (dot) and the middle half (bar) of its plots' errors in each channel, "
-        "and of the horizontal distance between plot and reference. A target that stands apart after correction has an error of its own (transponder, "
-        "reference, association)."
+        f"Every target by itself, in the order of its raw error ({_targets(n)}): median (dot) and the middle half (bar) "
+        "of its plots' errors in each channel, and of the horizontal distance between plot and reference. A "
+        "target that stands apart "
+        "after correction has an error of its own (transponder, reference, association)."
     )
     return Drawing(name, svg, caption, "Median errors of each target before and after correction")
 
@@ -684,62 +746,17 @@ def _quartiles(values: FloatArray) -> tuple[float, float, float]:
 
 
 def histogram_figure(r: Residuals, name: str) -> Drawing | None:
-    """Distribution of each channel with the fitted normal, and of the horizontal distance."""
-    from matplotlib.ticker import PercentFormatter
-
-    if len(r) < 3:
+    """Distribution of each channel with the normal of the same median and robust sd, and of the horizontal distance."""
+    shown, distance = quantities(r), _distance(r)
+    if len(r) < 20 or not (shown or distance):
         return None
-    shown = quantities(r)
     with _style(name):
-        figure, (row,) = _panels(1, len(shown) + 1, 3.5, top=0.45, bottom=0.5, gap=(0.55, 0))
+        figure, (row,) = _panels(1, len(shown) + len(distance), 3.6, top=0.82, bottom=0.5, gap=(0.55, 0))
         for axes, quantity in zip(row, shown, strict=False):
-            limits = _limits(quantity.before, quantity.after)
-            edges = np.linspace(*limits, 61 if len(r) > 500 else 25)
-            middle = (edges[1:] + edges[:-1]) / 2
-            top = 0.0
-            texts = []
-            for values, dark, light, word in (
-                (quantity.before, BEFORE, BEFORE_LIGHT, "before"),
-                (quantity.after, AFTER, AFTER_LIGHT, "after"),
-            ):
-                known = values[np.isfinite(values)]
-                share = np.histogram(known, edges)[0] / max(len(known), 1)
-                axes.stairs(share, edges, fill=True, color=light, alpha=0.45, linewidth=0)
-                axes.stairs(share, edges, color=dark, linewidth=0.8)
-                centre, sd = float(np.median(known)), robust_sd(known)
-                if sd > 0:
-                    fine = np.linspace(*limits, 301)
-                    normal = np.exp(-0.5 * ((fine - centre) / sd) ** 2) / (sd * np.sqrt(2 * np.pi)) * (middle[1] - middle[0])
-                    axes.plot(fine, normal, color=dark, linewidth=1.1, linestyle=(0, (4, 2)))
-                    top = max(top, float(min(normal.max(), 1.6 * share.max())))
-                top = max(top, float(share.max()))
-                digits = 1 if quantity.unit == "m" else 3
-                texts.append((f"{word}: median {centre:.{digits}f}, sd {sd:.{digits}f} {quantity.unit}".replace("-", "−"), dark))
-            axes.axvline(0, color=INK, linewidth=0.7)
-            axes.set_xlim(*limits)
-            axes.set_ylim(0, 1.28 * top)
-            for k, (text, dark) in enumerate(texts):
-                axes.text(0.02, 0.985 - 0.065 * k, text, transform=axes.transAxes, fontsize=7.2, color=dark, va="top")
-            axes.set_xlabel(quantity.label)
-            axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None, symbol=""))
+            _histogram(axes, quantity)
         row[0].set_ylabel("plots per bin (%)")
-        last = row[-1]
-        most = max(float(np.nanpercentile(v, 99)) for v in (r.distance_before_m, r.distance_after_m))
-        for k, (values, dark, word) in enumerate(((r.distance_before_m, BEFORE, "before"), (r.distance_after_m, AFTER, "after"))):
-            known = np.sort(values[np.isfinite(values)])
-            levels = np.linspace(0, 1, min(len(known), 400))
-            last.plot(np.quantile(known, levels), levels, color=dark, linewidth=1.5)
-            half, most_of = np.quantile(known, (0.5, 0.95))
-            last.plot([half, most_of], [0.5, 0.95], linestyle="none", marker="o", markersize=4, color=dark)
-            last.text(
-                0.97, 0.16 - 0.075 * k, f"{word}: median {half:.1f}, 95 % {most_of:.1f} m", transform=last.transAxes, fontsize=7.2,
-                color=dark, ha="right",
-            )  # fmt: skip
-        last.set_xlim(0, most * 1.03 or 1.0)
-        last.set_ylim(0, 1.02)
-        last.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=""))
-        last.set_xlabel("horizontal distance (m)")
-        last.set_ylabel("plots nearer than this (%)", labelpad=2)
+        if distance:
+            _cumulative(row[-1], distance[0])
         _legend(
             figure,
             [
@@ -750,41 +767,101 @@ def histogram_figure(r: Residuals, name: str) -> Drawing | None:
         )
         svg = _svg(figure, name)
     caption = (
-        "How the errors are distributed. sd is the robust standard deviation (1.4826 times the median absolute deviation), and the dashed curve the normal "
-        "distribution that goes with it. Right: the share of plots that lie nearer to the reference than a distance; dots mark the median and 95 %."
+        "How the errors are distributed. sd is the robust standard deviation (1.4826 times the median absolute "
+        "deviation), and the "
+        "dashed curve the normal distribution that goes with it. Right: the share of plots that lie nearer to "
+        "the reference than a "
+        "distance; dots mark the median and 95 %."
     )
     return Drawing(name, svg, caption, "Histograms of the errors before and after correction")
 
 
+def _histogram(axes: Axes, quantity: Quantity) -> None:
+    limits = _limits(quantity.before, quantity.after)
+    edges = np.linspace(*limits, 61 if len(quantity.before) > 500 else 25)
+    fine = np.linspace(*limits, 301)
+    unit, digits = ("°", 3) if quantity.unit == "°" else (f" {quantity.unit}", 1)
+    top = 0.0
+    for k, (values, dark, light, word) in enumerate(
+        ((quantity.before, BEFORE, BEFORE_LIGHT, "before"), (quantity.after, AFTER, AFTER_LIGHT, "after"))
+    ):
+        known = values[np.isfinite(values)]
+        share = np.histogram(known, edges)[0] / len(known)
+        axes.stairs(share, edges, fill=True, color=light, alpha=0.45, linewidth=0)
+        axes.stairs(share, edges, color=dark, linewidth=0.8)
+        top = max(top, float(share.max()))
+        centre, sd = float(np.median(known)), robust_sd(known)
+        if sd > 0:
+            normal = np.exp(-0.5 * ((fine - centre) / sd) ** 2) / (sd * np.sqrt(2 * np.pi)) * (edges[1] - edges[0])
+            axes.plot(fine, normal, color=dark, linewidth=1.1, linestyle=(0, (4, 2)))
+            top = max(top, float(min(normal.max(), 1.6 * share.max())))
+        text = f"{word}: median {centre:.{digits}f}{unit}, sd {sd:.{digits}f}{unit}".replace("-", "−")
+        axes.text(0, 1.105 - 0.065 * k, text, transform=axes.transAxes, fontsize=7.5, color=dark)
+    axes.axvline(0, color=INK, linewidth=0.7)
+    axes.set_xlim(*limits)
+    axes.set_ylim(0, 1.06 * top or 1.0)
+    axes.set_xlabel(quantity.label)
+    _percent(axes)
+
+
+def _cumulative(axes: Axes, distance: Quantity) -> None:
+    most = 0.0
+    for k, (values, dark, word) in enumerate(((distance.before, BEFORE, "before"), (distance.after, AFTER, "after"))):
+        known = values[np.isfinite(values)]
+        levels = np.linspace(0, 1, min(len(known), 401))
+        quantiles = np.quantile(known, levels)
+        half, nearly = np.quantile(known, (0.5, 0.95))
+        most = max(most, float(np.quantile(known, 0.99)))
+        axes.plot(quantiles, levels, color=dark, linewidth=1.5)
+        axes.plot([half, nearly], [0.5, 0.95], linestyle="none", marker="o", markersize=4, color=dark)
+        text = f"{word}: median {half:.1f} m, 95 % within {nearly:.1f} m"
+        axes.text(0, 1.105 - 0.065 * k, text, transform=axes.transAxes, fontsize=7.5, color=dark)
+    axes.set_xlim(0, most * 1.03 or 1.0)
+    axes.set_ylim(0, 1.02)
+    axes.set_xlabel("horizontal distance (m)")
+    axes.set_ylabel("plots nearer than this (%)", labelpad=2)
+    _percent(axes)
+
+
+def _percent(axes: Axes) -> None:
+    from matplotlib.ticker import FuncFormatter
+
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda share, _: f"{100 * share:g}"))
+
+
 def curve_figure(r: Residuals, name: str) -> Drawing | None:
     """The raw error against azimuth and range, with what the model takes away at the same plots."""
-    if len(r) < 24:
-        return None
-    azimuth, distance = r.reference_azimuth_rad / DEG % 360, r.reference_range_m / 1e3
-    panels = [
-        (
-            "azimuth (°)",
-            azimuth,
-            azimuth_edges(len(r)),
-            Quantity("azimuth", "°", r.azimuth_before_rad / DEG, r.azimuth_after_rad / DEG),
-        ),
-        ("range (km)", distance, _edges(distance, 30), Quantity("range", "m", r.range_before_m, r.range_after_m)),
-    ]
-    with _style(name):
-        figure, (row,) = _panels(1, 2, 3.35, top=0.45, bottom=0.48)
-        for axes, (label, x, edges, quantity) in zip(row, panels, strict=True):
+    channel = {q.name: q for q in quantities(r)}
+    panels = []
+    for label, x, edges, quantity in (
+        ("azimuth (°)", r.reference_azimuth_rad / DEG % 360, azimuth_edges(len(r)), channel.get("azimuth")),
+        ("range (km)", r.reference_range_m / 1e3, _edges(r.reference_range_m / 1e3, 30), channel.get("range")),
+    ):
+        if quantity is not None:
             measured = binned(x, quantity.before, edges)
             taken = binned(x, quantity.before - quantity.after, edges)
-            if not len(measured.centre):
-                axes.remove()
-                continue
+            if len(measured.centre) and len(taken.centre):
+                panels.append((label, x, quantity, measured, taken))
+    if not panels:
+        return None
+    with _style(name):
+        figure, (row,) = _panels(1, len(panels), 3.35, top=0.45, bottom=0.48)
+        for axes, (label, x, quantity, measured, taken) in zip(row, panels, strict=True):
+            # The sd of a median of normal errors is 1.253 times that of their mean.
             error = 1.253 * (measured.high - measured.low) / 2 / np.sqrt(measured.number)
             axes.axhline(0, color=INK, linewidth=0.7)
             axes.fill_between(measured.centre, measured.low, measured.high, color=BEFORE_LIGHT, alpha=0.18, linewidth=0)
             axes.errorbar(
-                measured.centre, measured.median, yerr=2 * error, linestyle="none", marker="o", markersize=3.6, color=BEFORE, elinewidth=1.1,
+                measured.centre,
+                measured.median,
+                yerr=2 * error,
+                linestyle="none",
+                marker="o",
+                markersize=3.6,
+                color=BEFORE,
+                elinewidth=1.1,
                 capsize=0,
-            )  # fmt: skip
+            )
             axes.fill_between(taken.centre, taken.low, taken.high, color=AFTER_LIGHT, alpha=0.25, linewidth=0)
             axes.plot(taken.centre, taken.median, color=AFTER, linewidth=1.8)
             axes.set_xlim(*_span(x, label))
@@ -797,14 +874,16 @@ def curve_figure(r: Residuals, name: str) -> Drawing | None:
             figure,
             [
                 (_dot(BEFORE), "measured − reference, bin median ± 2 standard errors"),
-                (_line(BEFORE_LIGHT, 5), "middle 68 % of the plots"),
+                (_band(BEFORE_LIGHT), "middle 68 % of the plots"),
                 (_line(AFTER, 2.0), "the model's error for the same plots, with its middle 68 %"),
             ],
         )
         svg = _svg(figure, name)
     caption = (
-        "The error that was found, and the model laid over it. The line is the median of what the model takes from the very plots of each bin, "
-        "so that it also holds what depends on the target (time offset, extent); where it leaves the points, a term is missing."
+        "The error that was found, and the model laid over it. The line is the median of what the model takes "
+        "from the very plots of "
+        "each bin, so that it also holds what depends on the target (time offset, extent); where it leaves the points, a term is "
+        "missing. Standard errors take plots as independent, which plots of one target are not."
     )
     return Drawing(name, svg, caption, "Azimuth and range errors with the fitted model")
 
@@ -819,6 +898,7 @@ def correlation_figure(found: Calibration, name: str, names: dict[int, str]) -> 
     known = sd > 0
     matrix: AnyArray = np.full((p, p), np.nan)
     matrix[np.ix_(known, known)] = covariance[np.ix_(known, known)] / np.outer(sd[known], sd[known])
+    shown = np.where(np.eye(p, dtype=np.bool_), np.nan, matrix)
     several = len({key.sensor for key in found.terms}) > 1
     labels = [(f"{names.get(k.sensor, k.sensor)}: " if several else "") + term_label(k.name) for k in found.terms]
     step = float(np.clip(7.0 / p, 0.3, 0.62))
@@ -830,7 +910,8 @@ def correlation_figure(found: Calibration, name: str, names: dict[int, str]) -> 
     with _style(name):
         figure = Figure(figsize=(wide, high), facecolor="white")
         axes = figure.add_axes((left / wide, low / high, p * step / wide, p * step / high))
-        image = axes.imshow(matrix, cmap="PuOr", vmin=-1, vmax=1, aspect="equal", interpolation="nearest", rasterized=False)
+        axes.set_facecolor("#eceef0")
+        image = axes.imshow(shown, cmap="PuOr", vmin=-1, vmax=1, aspect="equal", interpolation="nearest", rasterized=False)
         axes.set_xticks(
             np.arange(p),
             labels,
@@ -851,7 +932,7 @@ def correlation_figure(found: Calibration, name: str, names: dict[int, str]) -> 
             for j in range(p):
                 value = matrix[i, j]
                 if np.isfinite(value):
-                    text = "1" if i == j else f"{value:.2f}".replace("-", "−")
+                    text = "1" if i == j else f"{value + 0.0 if abs(value) >= 0.005 else 0.0:.2f}".replace("-", "−")
                     axes.text(
                         j,
                         i,
@@ -859,7 +940,7 @@ def correlation_figure(found: Calibration, name: str, names: dict[int, str]) -> 
                         ha="center",
                         va="center",
                         fontsize=min(8.0, 15 * step),
-                        color="white" if abs(value) > 0.62 else INK,
+                        color="white" if i != j and abs(value) > 0.62 else QUIET if i == j else INK,
                     )
         bar = figure.add_axes(((left + p * step + 0.25) / wide, low / high, 0.14 / wide, p * step / high))
         figure.colorbar(image, cax=bar, ticks=[-1, -0.5, 0, 0.5, 1])
@@ -868,8 +949,9 @@ def correlation_figure(found: Calibration, name: str, names: dict[int, str]) -> 
             side.set_visible(False)
         svg = _svg(figure, name)
     caption = (
-        "Correlation between the estimates of the terms. Near 0, two terms are told apart by these data; near ±1 only their sum or difference is known, "
-        "and a wrong value of one is made up for by the other."
+        "Correlation between the estimates of the terms. Near 0, two terms are told apart by these data; near ±1 "
+        "only their sum or "
+        "difference is known, and a wrong value of one is made up for by the other."
     )
     return Drawing(name, svg, caption, "Correlation matrix of the terms")
 

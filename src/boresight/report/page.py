@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..model import Sensors
 
 _MINUS = "\u2212"
-_THIN = "\u2009"
+_THIN = "\u202f"
 
 # What a positive and a negative value mean, for the sentence that opens the report: {} is the amount with its unit.
 _WORDS: dict[str, tuple[str, str]] = {
@@ -46,13 +46,16 @@ _WORDS: dict[str, tuple[str, str]] = {
         "sees echoes ahead of the reference's antenna by {} of the target's length",
         "sees echoes behind the reference's antenna by {} of the target's length",
     ),
-    "tilt_north": ("leans so that elevations in the north are {} too high", "leans so that elevations in the north are {} too low"),
+    "tilt_north": (
+        "leans so that elevations in the north are {} too high",
+        "leans so that elevations in the north are {} too low",
+    ),
     "tilt_east": ("leans so that elevations in the east are {} too high", "leans so that elevations in the east are {} too low"),
 }
 
 # Why a plot took no part, in words that need no knowledge of the program.
 _REASONS = {
-    "flag": "marked by the radar itself as simulated, test, garbled, reflection, side lobe, second-time-around, field monitor or extrapolated",
+    "flag": "marked by the radar as simulated, test, garbled, reflection, side lobe, second-time-around, monitor or extrapolated",
     "NaN": "without a usable time, range or azimuth",
     "no sensor": "of a sensor that sensors.toml does not name",
     "out of limits": "outside the sensor's range limits",
@@ -92,9 +95,9 @@ def write_report(
 ) -> Path:
     """Write the report of a calibration as one self-contained HTML file, and return its path.
 
-    `truth` holds the true values of a simulated scene, sensor name -> term -> value in the term's unit.  `warnings` come on top of the
-    calibration's own.  `clock` holds lines (what -> finding) on the clocks; `association` gives the plots not used and the
-    coarse biases.  The file is written beside and then renamed; the same arguments give the same bytes.
+    `truth` holds the true values of a simulated scene, sensor name -> term -> value in the term's unit.  `warnings` come on
+    top of the calibration's own.  `clock` holds lines (what -> finding) on the clocks; `association` gives the plots not used and
+    the coarse biases.  The file is written beside and then renamed; the same arguments give the same bytes.
 
     Raises InputError where the file cannot be written.
     """
@@ -103,7 +106,9 @@ def write_report(
     )
     target = Path(path)
     try:
-        with tempfile.NamedTemporaryFile("w", encoding="utf-8", newline="\n", dir=target.parent, prefix=f".{target.name}-", delete=False) as file:
+        with tempfile.NamedTemporaryFile(
+            "w", encoding="utf-8", newline="\n", dir=target.parent, prefix=f".{target.name}-", delete=False
+        ) as file:
             beside = Path(file.name)
             try:
                 file.write(text)
@@ -115,7 +120,9 @@ def write_report(
                 beside.unlink(missing_ok=True)
                 raise
     except OSError as error:
-        raise InputError(f"the report cannot be written ({error.strerror})", path=target, remedy="Is there space, and may you write there?") from error
+        raise InputError(
+            f"the report cannot be written ({error.strerror})", path=target, remedy="Is there space, and may you write there?"
+        ) from error
     return target
 
 
@@ -294,7 +301,7 @@ def verdict(calibration: Calibration, summary: Summary) -> tuple[str, str]:
     t = quantile95(max(summary.targets, 2))
     wrong: list[tuple[float, str]] = []
     nothing: list[str] = []
-    swing = [0.0, 0.0]
+    swing = np.zeros(2)
     significant_swing = False
     for k, key in enumerate(calibration.terms):
         if key.sensor != summary.sensor:
@@ -306,12 +313,15 @@ def verdict(calibration: Calibration, summary: Summary) -> tuple[str, str]:
         on = "" if key.channel == "all" else f" ({key.channel.replace('_', ' ')})"
         significant = abs(value) > t * sd
         if key.name in ("azimuth_cos", "azimuth_sin"):
-            swing[key.name == "azimuth_sin"] = value
-            significant_swing |= significant
+            swing[int(key.name == "azimuth_sin")] = value
+            significant_swing = significant_swing or significant
         if not significant:
-            nothing.append(f"{draw.term_label(key.name)}{on} ({number(value, decimals(sd), sign=True)} ± {with_unit(number(sd, decimals(sd)), key.unit)})")
+            amount = f"{number(value, decimals(sd), sign=True)} ± {with_unit(number(sd, decimals(sd)), key.unit)}"
+            nothing.append(f"{draw.term_label(key.name)}{on} ({amount})")
             continue
-        amount = with_unit(number(abs(value), decimals(sd)), key.unit)
+        # In a sentence, three digits are enough, and no more than the uncertainty allows.
+        digits = max(0, min(decimals(sd), 2 - int(np.floor(np.log10(abs(value))))))
+        amount = with_unit(number(abs(value), digits), key.unit)
         if key.name == "along_heading_per_length":
             amount = f"{number(100 * abs(value), 0)}{_THIN}%"
         if key.name in _WORDS:
@@ -327,7 +337,7 @@ def verdict(calibration: Calibration, summary: Summary) -> tuple[str, str]:
         first = f"{summary.name} {_list([text for _, text in wrong])}."
     else:
         first = f"{summary.name} shows no error that these data can tell from zero."
-    second = f"Not told apart from zero (at 95 %): {_list(nothing)}." if nothing else ""
+    second = f"Not distinguishable from zero (at 95 %): {_list(nothing)}." if nothing else ""
     return first, second
 
 
@@ -345,9 +355,12 @@ def gain_text(summary: Summary) -> str:
     if np.isfinite(held_before) and np.isfinite(held_after):
         ratio = held_before / held_after if held_after > 0 else float("inf")
         if ratio >= 1.05:
-            text += f"; on targets that took no part in the estimate it is {metres(held_after)} m, {number(ratio, 1)} times better"
+            text += (
+                f"; on targets that took no part in the estimate it is {metres(held_after)} m, {number(ratio, 1)} times better"
+            )
         else:
-            text += f"; on targets that took no part in the estimate it is {metres(held_after)} m, no better than before ({metres(held_before)} m)"
+            text += f"; on targets that took no part in the estimate it is {metres(held_after)} m,"
+            text += f" no better than before ({metres(held_before)} m)"
     return text + "."
 
 
