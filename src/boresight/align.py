@@ -248,7 +248,7 @@ def _heights(
         if not known.all():
             said.append(
                 f"{(~known).sum():,} reference heights are pressure altitudes in the standard atmosphere, since nothing "
-                f"tells the pressure of the day: sd 30 m + 5 % of the height ({np.median(30 + 0.05 * np.abs(level[~known])):.0f} m at the median)"
+                f"tells the pressure: sd 30 m + 5 % of the height (median {np.median(30 + 0.05 * np.abs(level[~known])):.0f} m)"
             )
 
     surface_site = any(s.kind in ("surface", "marine") for s in sensors)
@@ -260,8 +260,8 @@ def _heights(
         if np.isfinite(ground):
             height[mine], sd[mine] = ground, ground_sd
             said.append(
-                f"{mine.sum():,} records of SAC/SIC {_codes(key)} without an altitude are taken at {ground:.0f} m on the ellipsoid: "
-                f"{why}"
+                f"{mine.sum():,} records of SAC/SIC {_codes(key)} without an altitude are taken at {ground:.0f} m on the "
+                f"ellipsoid: {why}"
             )
     if not np.isfinite(height).all():
         nowhere = ~np.isfinite(height) & (np.isfinite(fixes.latitude_rad) | np.isfinite(fixes.x_m))
