@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import datetime
+import os
+import tempfile
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from ._types import FloatArray
+from .errors import InputError
+from .terms import DEG, TERMS
 
 SCHEMA = "boresight-calibration/1"
 
@@ -45,7 +53,10 @@ class Accuracy(msgspec.Struct, frozen=True):
 
 
 class Summary(msgspec.Struct, frozen=True, kw_only=True):
-    """What a calibration says of one sensor besides its terms.  Held-out figures come from folds by target."""
+    """What a calibration says of one sensor besides its terms.
+
+    Held-out figures come from folds by target.  `effective_targets` is how many equally good targets would tell as much.
+    """
 
     sensor: int
     name: str
@@ -60,6 +71,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     held_out_after_median_m: float = float("nan")
     held_out_before_p95_m: float = float("nan")
     held_out_after_p95_m: float = float("nan")
+    effective_targets: float = float("nan")
     notes: tuple[str, ...] = ()
 
 
@@ -93,3 +105,336 @@ class Calibration:
     def sd(self) -> FloatArray:
         """Standard deviations (k, p), SI."""
         return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+
+    def interval(self, level: float = 0.95) -> FloatArray:
+        """Confidence intervals (k, p, 2), SI: the value lies within with probability `level`.
+
+        Errors over their sd follow a t distribution of as many degrees of freedom as there were effective targets, less one.
+        """
+        from scipy.special import stdtrit
+
+        targets = {s.sensor: s.effective_targets for s in self.sensors}
+        freedom = np.array([targets.get(key.sensor, np.nan) for key in self.terms]) - 1.0
+        freedom = np.where(np.isfinite(freedom), np.maximum(freedom, 3.0), 1e6)
+        # The covariance is that of the t distribution, which is wider than its scale.
+        half = self.sd * stdtrit(freedom, (1 + level) / 2) * np.sqrt((freedom - 2) / freedom)
+        return np.stack([self.value - half, self.value + half], axis=-1)
+
+    def index(self, sensor: int, term: str) -> int | None:
+        """Where the term of this sensor stands among `terms`, or None."""
+        return next((k for k, key in enumerate(self.terms) if key.sensor == sensor and key.name == term), None)
+
+    def __str__(self) -> str:
+        """A table to read: terms in their units with sd, noise, accuracy, what was not determined, notes."""
+        return "\n\n".join(self._sensor_text(s) for s in self.sensors) if self.sensors else "no sensor was calibrated"
+
+    def _sensor_text(self, s: Summary) -> str:
+        lines = [f"{s.name} ({s.model}): {_count(s.plots, 'plot')}, {_count(s.tracks, 'track')}, {_count(s.targets, 'target')}"]
+        rows = [("error", "value", "sd", "unit")]
+        for k, key in enumerate(self.terms):
+            if key.sensor == s.sensor:
+                scale = si_per_unit(key)
+                value, sd = _rounded(self.value[-1, k] / scale, self.sd[-1, k] / scale)
+                name = key.name if key.channel == "all" else f"{key.name} ({key.channel})"
+                rows.append((name, value, sd, key.unit))
+        wide = [max(len(row[c]) for row in rows) for c in range(4)]
+        lines += [f"  {a:<{wide[0]}}  {b:>{wide[1]}}  {c:>{wide[2]}}  {d}" for a, b, c, d in rows]
+        noise = [f"range {s.noise.range_m:.1f} m", f"azimuth {s.noise.azimuth_rad / DEG:.3f} deg"]
+        if np.isfinite(s.noise.elevation_rad):
+            noise.append(f"elevation {s.noise.elevation_rad / DEG:.3f} deg")
+        lines.append(f"  noise (1 sd): {', '.join(noise)}")
+        lines.append(
+            f"  distance to the reference: median {s.before.median_m:.1f} m, 95 % {s.before.p95_m:.1f} m before; "
+            f"{s.after.median_m:.1f} m, {s.after.p95_m:.1f} m after"
+        )
+        if np.isfinite(s.held_out_after_median_m):
+            lines.append(
+                f"  on targets that were held out: median {s.held_out_before_median_m:.1f} m before, "
+                f"{s.held_out_after_median_m:.1f} m after"
+            )
+        lines += [f"  not determined: {n.term}: {n.why}" for n in self.not_determined if n.sensor == s.sensor]
+        lines += [f"  note: {note}" for note in s.notes]
+        return "\n".join(lines)
+
+
+def si_per_unit(key: TermKey) -> float:
+    """SI per unit of a term's value in files."""
+    return TERMS[key.name].si_per_unit
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n:,} {what}{'' if n == 1 else 's'}"
+
+
+def _rounded(value: float, sd: float) -> tuple[str, str]:
+    """Value and sd with two significant digits of the sd."""
+    if not np.isfinite(sd) or sd <= 0:
+        return f"{value:.6g}", f"{sd:.3g}"
+    digits = int(np.clip(1 - np.floor(np.log10(sd)), 0, 9))
+    return f"{value:.{digits}f}", f"{sd:.{digits}f}"
+
+
+class _TermFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    sensor: int
+    channel: str
+    term: str
+    unit: str
+
+
+class _NoiseFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    range_m: float | None
+    azimuth_deg: float | None
+    elevation_deg: float | None
+
+
+class _AccuracyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    median_m: float | None
+    p95_m: float | None
+
+
+class _SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    sensor: int
+    name: str
+    model: str
+    noise: _NoiseFile
+    plots: int
+    tracks: int
+    targets: int
+    effective_targets: float | None
+    before: _AccuracyFile
+    after: _AccuracyFile
+    held_out_before: _AccuracyFile
+    held_out_after: _AccuracyFile
+    notes: tuple[str, ...]
+
+
+class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """calibration.json: value (k, p), sd (k, p) and covariance (k, p, p) are in the terms' units, epochs UTC seconds since
+    1970."""
+
+    schema: str
+    version: str
+    epoch_s: list[float]
+    epoch: list[str]
+    terms: tuple[_TermFile, ...]
+    value: list[list[float]]
+    sd: list[list[float]]
+    covariance: list[list[list[float]]]
+    sensors: tuple[_SensorFile, ...]
+    not_determined: tuple[NotDetermined, ...]
+    inputs: tuple[Input, ...]
+    warnings: tuple[str, ...]
+    settings: dict[str, Any]
+
+
+def _null(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _nan(value: float | None) -> float:
+    return float("nan") if value is None else value
+
+
+def _units(terms: tuple[TermKey, ...]) -> FloatArray:
+    return np.array([si_per_unit(key) for key in terms], np.float64)
+
+
+def save(calibration: Calibration, path: str | Path) -> None:
+    """Write calibration.json: whole or not at all, values and covariance in the units of the terms, what is not known null.
+
+    Raises InputError where the file cannot be written.
+    """
+    units = _units(calibration.terms)
+
+    def accuracy(median: float, p95: float) -> _AccuracyFile:
+        return _AccuracyFile(_null(median), _null(p95))
+
+    file = _File(
+        schema=SCHEMA,
+        version=calibration.version,
+        epoch_s=calibration.epoch_s.tolist(),
+        epoch=[
+            datetime.datetime.fromtimestamp(t, datetime.UTC).isoformat().replace("+00:00", "Z")
+            for t in calibration.epoch_s.tolist()
+        ],
+        terms=tuple(_TermFile(key.sensor, key.channel, key.name, key.unit) for key in calibration.terms),
+        value=(calibration.value / units).tolist(),
+        sd=(calibration.sd / units).tolist(),
+        covariance=(calibration.covariance / units[:, None] / units).tolist(),
+        sensors=tuple(
+            _SensorFile(
+                sensor=s.sensor,
+                name=s.name,
+                model=s.model,
+                noise=_NoiseFile(_null(s.noise.range_m), _null(s.noise.azimuth_rad / DEG), _null(s.noise.elevation_rad / DEG)),
+                plots=s.plots,
+                tracks=s.tracks,
+                targets=s.targets,
+                effective_targets=_null(s.effective_targets),
+                before=accuracy(s.before.median_m, s.before.p95_m),
+                after=accuracy(s.after.median_m, s.after.p95_m),
+                held_out_before=accuracy(s.held_out_before_median_m, s.held_out_before_p95_m),
+                held_out_after=accuracy(s.held_out_after_median_m, s.held_out_after_p95_m),
+                notes=s.notes,
+            )
+            for s in calibration.sensors
+        ),
+        not_determined=calibration.not_determined,
+        inputs=calibration.inputs,
+        warnings=calibration.warnings,
+        settings=calibration.settings,
+    )
+    text = msgspec.json.format(msgspec.json.encode(file), indent=1) + b"\n"
+    _write_whole(Path(path), text)
+
+
+def _write_whole(path: Path, data: bytes) -> None:
+    """Write beside, then rename, so that no half-written file is ever seen."""
+    try:
+        handle, beside = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    except OSError as error:
+        raise InputError(f"cannot be written ({error.strerror})", path=path) from error
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(beside, 0o666 & ~mask)
+        os.replace(beside, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            os.unlink(beside)
+        raise InputError(f"cannot be written ({error.strerror})", path=path) from error
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(beside)
+        raise
+
+
+def load(path: str | Path) -> Calibration:
+    """Read calibration.json.
+
+    Raises InputError, naming the file and the place in it, for a file that cannot be read, is no calibration, is of another
+    schema, or contradicts itself.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", path=path) from error
+    remedy = "Give a calibration.json that boresight calibrate has written."
+    try:
+        schema = msgspec.json.decode(data, type=_Schema).schema
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"is no calibration: {error}", path=path, remedy=remedy) from error
+    if schema != SCHEMA:
+        raise InputError(
+            f"its schema is {schema!r}, but {SCHEMA!r} is needed",
+            path=path,
+            remedy="Calibrate again with this version of Boresight.",
+        )
+    try:
+        file = msgspec.json.decode(data, type=_File)
+    except msgspec.DecodeError as error:
+        raise InputError(f"is no whole calibration: {error}", path=path, remedy=remedy) from error
+    for number, term in enumerate(file.terms):
+        if term.term not in TERMS:
+            raise InputError(f"terms[{number}]: there is no term {term.term!r}", path=path, remedy=f"Terms: {', '.join(TERMS)}.")
+        if term.unit != TERMS[term.term].unit:
+            raise InputError(
+                f"terms[{number}]: the unit of {term.term} is {TERMS[term.term].unit}, not {term.unit!r}",
+                path=path,
+                remedy=remedy,
+            )
+    known = {s.sensor for s in file.sensors}
+    for number, term in enumerate(file.terms):
+        if term.sensor not in known:
+            raise InputError(f"terms[{number}]: its sensor {term.sensor} is not among the sensors", path=path, remedy=remedy)
+    k, p = len(file.epoch_s), len(file.terms)
+    keys = tuple(TermKey(t.sensor, t.channel, t.term, t.unit) for t in file.terms)
+    units = _units(keys)
+    arrays = []
+    for name, rows, shape in (("value", file.value, (k, p)), ("covariance", file.covariance, (k, p, p))):
+        try:
+            array = np.array(rows, np.float64).reshape(shape)
+        except ValueError as error:
+            raise InputError(f"{name} has not the shape {shape} of epochs and terms", path=path, remedy=remedy) from error
+        arrays.append(array)
+    value, covariance = arrays
+    return Calibration(
+        terms=keys,
+        epoch_s=np.array(file.epoch_s, np.float64),
+        value=value * units,
+        covariance=covariance * units[:, None] * units,
+        sensors=tuple(
+            Summary(
+                sensor=s.sensor,
+                name=s.name,
+                model=s.model,
+                noise=Noise(_nan(s.noise.range_m), _nan(s.noise.azimuth_deg) * DEG, _nan(s.noise.elevation_deg) * DEG),
+                plots=s.plots,
+                tracks=s.tracks,
+                targets=s.targets,
+                effective_targets=_nan(s.effective_targets),
+                before=Accuracy(_nan(s.before.median_m), _nan(s.before.p95_m)),
+                after=Accuracy(_nan(s.after.median_m), _nan(s.after.p95_m)),
+                held_out_before_median_m=_nan(s.held_out_before.median_m),
+                held_out_before_p95_m=_nan(s.held_out_before.p95_m),
+                held_out_after_median_m=_nan(s.held_out_after.median_m),
+                held_out_after_p95_m=_nan(s.held_out_after.p95_m),
+                notes=s.notes,
+            )
+            for s in file.sensors
+        ),
+        not_determined=file.not_determined,
+        inputs=file.inputs,
+        warnings=file.warnings,
+        settings=file.settings,
+        version=file.version,
+    )
+
+
+class _Schema(msgspec.Struct, frozen=True):
+    schema: str
+
+
+def summary_json(calibration: Calibration) -> dict[str, Any]:
+    """What ``boresight calibrate --json`` prints: by sensor the terms in their units, noise, counts, accuracy and what is
+    missing.
+
+    The notes on a sensor stand among the warnings, after its name.
+    """
+    sd = calibration.sd
+    sensors: dict[str, Any] = {}
+    for s in calibration.sensors:
+        terms = {}
+        for k, key in enumerate(calibration.terms):
+            if key.sensor == s.sensor:
+                scale = si_per_unit(key)
+                name = key.name if key.channel == "all" else f"{key.name}.{key.channel}"
+                terms[name] = {"value": _null(calibration.value[-1, k] / scale), "sd": _null(sd[-1, k] / scale), "unit": key.unit}
+        noise = {"range_m": _null(s.noise.range_m), "azimuth_deg": _null(s.noise.azimuth_rad / DEG)}
+        if np.isfinite(s.noise.elevation_rad):
+            noise["elevation_deg"] = s.noise.elevation_rad / DEG
+        sensors[s.name] = {
+            "model": s.model,
+            "terms": terms,
+            "noise": noise,
+            "plots": s.plots,
+            "tracks": s.tracks,
+            "targets": s.targets,
+            "before": {"median_m": _null(s.before.median_m), "p95_m": _null(s.before.p95_m)},
+            "after": {"median_m": _null(s.after.median_m), "p95_m": _null(s.after.p95_m)},
+            "held_out": {
+                "before_median_m": _null(s.held_out_before_median_m),
+                "after_median_m": _null(s.held_out_after_median_m),
+                "before_p95_m": _null(s.held_out_before_p95_m),
+                "after_p95_m": _null(s.held_out_after_p95_m),
+            },
+            "not_determined": [{"term": n.term, "why": n.why} for n in calibration.not_determined if n.sensor == s.sensor],
+        }
+    notes = [f"{s.name}: {note}" for s in calibration.sensors for note in s.notes]
+    return {
+        "sensors": sensors,
+        "inputs": [msgspec.to_builtins(i) for i in calibration.inputs],
+        "warnings": [*calibration.warnings, *notes],
+    }

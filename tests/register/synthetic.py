@@ -1,7 +1,7 @@
 """Scenes with known errors, straight as pairs: no file, no association.  The motion is exact, the errors are physical.
 
-A plot stamped t was measured at t - time_offset; the terms are evaluated at the true position.  The reference stands where the target was
-its latency ago, displaced by a slowly wandering offset of its receiver.
+A plot stamped t was measured at t - time_offset; the terms are evaluated at the true position.  The reference stands where the
+target was its latency ago, displaced by a slowly wandering offset of its receiver.
 """
 
 from __future__ import annotations
@@ -69,7 +69,16 @@ def airliner(rng: np.random.Generator, duration_s: float = 1800.0) -> tuple[Call
 
 
 def path(
-    lat: float, lon: float, x: float, y: float, course: float, speed: float, turn: float, height: float, climb: float, middle: float
+    lat: float,
+    lon: float,
+    x: float,
+    y: float,
+    course: float,
+    speed: float,
+    turn: float,
+    height: float,
+    climb: float,
+    middle: float,
 ) -> Callable:
     """A level circle or straight line through (x, y) metres about a point at time `middle`, as ECEF positions of time."""
 

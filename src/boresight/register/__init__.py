@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import msgspec
@@ -33,12 +34,12 @@ def register(
 ) -> Calibration:
     """Find the systematic errors of every sensor in `pairs`.
 
-    `model` is "auto" (each sensor's own `model`, else by its kind), the name of a model, a comma-separated list of terms, or a list of
-    names.  Each sensor's values depend on its own pairs only; the covariance is joint, because the sensors see the same targets.  Terms
-    that the data cannot give are named in `not_determined`.  bias = measured - true (METHODS sections 4, 6).
+    `model` is "auto" (each sensor's own `model`, else by its kind), the name of a model, a comma-separated list of terms, or a
+    list of names.  Each sensor's values depend on its own pairs only; the covariance is joint, because the sensors see the same
+    targets.  Terms that the data cannot give are named in `not_determined`.  bias = measured - true (METHODS sections 4, 6).
 
-    Raises SettingsError for unknown terms, settings that make no sense, or a sensor without a position; NothingToDo where no pair can
-    be used or no error of any sensor determined.
+    Raises SettingsError for unknown terms, settings that make no sense, or a sensor without a position; NothingToDo where no
+    pair can be used or no error of any sensor determined.
     """
     settings = LeastSquares() if settings is None else settings
     check_settings(settings)
@@ -50,9 +51,9 @@ def register(
     warnings: list[str] = []
     bad = unusable(pairs)
     usable = np.ones(len(pairs), bool)
-    for reason, rows in bad.items():
-        usable &= ~rows
-        warnings.append(f"{rows.sum():,} of {len(pairs):,} pairs were left out: {reason}")
+    for reason, left_out in bad.items():
+        usable &= ~left_out
+        warnings.append(f"{left_out.sum():,} of {len(pairs):,} pairs were left out: {reason}")
     if not usable.any():
         raise NothingToDo(f"none of the {len(pairs):,} pairs can be used: {'; '.join(warnings)}")
     epoch = float(np.floor(pairs.plots.time_s[usable].min()))
@@ -62,7 +63,9 @@ def register(
         sensor = sensors.find(int(key))
         if sensor is None:
             raise SettingsError(
-                f"the pairs hold a sensor {key >> 8}/{key & 255} that has no entry", where="sensors.toml", remedy="Add a [[sensor]]."
+                f"the pairs hold a sensor {key >> 8}/{key & 255} that has no entry",
+                where="sensors.toml",
+                remedy="Add a [[sensor]].",
             )
         rows = np.flatnonzero(usable & (pairs.plots.sensor == key))
         try:
@@ -112,8 +115,8 @@ def _one(
             )
         speed = float(np.median(np.sqrt((seen.velocity**2).sum(axis=1))))
         notes.append(
-            "time_offset is confounded with the extent of the targets, which the model lacks: an echo 10 m behind the reference's "
-            f"antenna looks like {10 / max(speed, 0.1):+.2f} s at the median speed of {speed:.0f} m/s"
+            "time_offset is confounded with the extent of the targets, which the model lacks: an echo 10 m behind the "
+            f"reference's antenna looks like {10 / max(speed, 0.1):+.2f} s at the median speed of {speed:.0f} m/s"
         )
     if "range_bias" in names and sensor.kind not in GROUND_KINDS:
         notes.append("range_bias holds the common part of the transponders' delays, which nothing can tell from it")
@@ -127,6 +130,7 @@ def _one(
         plots=len(seen),
         tracks=len(np.unique(pairs.track[rows])),
         targets=len(seen.cluster_key),
+        effective_targets=fitted.effective,
         before=_accuracy(before),
         after=_accuracy(after),
         held_out_before_median_m=_accuracy(before[np.isfinite(held)]).median_m,
@@ -139,8 +143,6 @@ def _one(
 
 
 def _with_length(seen: Observed, length: FloatArray) -> Observed:
-    from dataclasses import replace
-
     return replace(seen, length_m=length)
 
 
@@ -167,7 +169,8 @@ def _fitting(wanted: Sequence[Term], seen: Observed) -> tuple[tuple[Term, ...], 
         elif "heading" in term.needs and not heading.any():
             dropped.append(Dropped(term.name, "no target's heading is known: none carries one or moves faster than 3 m/s"))
         elif "length" in term.needs and length < 0.5:
-            known = "no target's length is known" if length == 0 else f"the length of only {100 * length:.0f} % of the targets' plots is known"
+            known = f"the length of only {100 * length:.0f} % of the targets' plots is known"
+            known = "no target's length is known" if length == 0 else known
             dropped.append(Dropped(term.name, f"{known}; along_heading, the same for all, takes its place"))
             if not any(t.name == "along_heading" for t in wanted):
                 terms.append(TERMS["along_heading"])

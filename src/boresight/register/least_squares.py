@@ -1,7 +1,7 @@
 """Registration by joint robust nonlinear least squares in measurement space (METHODS sections 4 and 6).
 
-One model of named terms over all channels of a sensor, linearised anew with the target's own motion (a time offset of 2 s is 500 m,
-not small), solved by Gauss-Newton.  Gross errors lose their weight; what is alike within a target is modelled as such
+One model of named terms over all channels of a sensor, linearised anew with the target's own motion (a time offset of 2 s is
+500 m, not small), solved by Gauss-Newton.  Gross errors lose their weight; what is alike within a target is modelled as such
 (`mixed`), so that the covariance is honest; what the data cannot determine is named.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import msgspec
@@ -40,8 +41,8 @@ class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     A pair keeps its full weight up to `soft_sd` standard deviations and has none beyond `hard_sd`.  Two terms whose estimates
     correlate by `max_correlation` or more cannot be told apart; nor can a term of whose column less than `rank_tolerance` remains
-    once the others are taken out.  `short_block_s` and `long_block_s` are the times over which slowly wandering errors are taken as
-    constant (0: by the kind of sensor).
+    once the others are taken out.  `short_block_s` and `long_block_s` are the times over which slowly wandering errors are
+    taken as constant (0: by the kind of sensor).
     """
 
     soft_sd: float = 3.0
@@ -140,10 +141,10 @@ class Dropped(NamedTuple):
 class Fit(NamedTuple):
     """One sensor's solution, SI.
 
-    `value` (p,), `covariance` (p, p) and the model's own `model_covariance`; `noise_sd` (3,), NaN where not measured; `weight` (n,) of
-    each pair; `effective` the effective number of targets; `effect_names`, `effect_variance` (w,) and `scores` (G, w) with
-    `information` (G, w, w) and `influence` (G, w, p) of what the sensors share in one target; `held_out` (G, p) the value
-    found without the fold of each target.
+    `value` (p,), `covariance` (p, p) and the model's own `model_covariance`; `noise_sd` (3,), NaN where not measured; `weight`
+    (n,) of each pair; `effective` the effective number of targets; `effect_names`, `effect_variance` (w,) and `scores` (G, w)
+    with `information` (G, w, w) and `influence` (G, w, p) of what the sensors share in one target; `held_out` (G, p) the value
+    found without the fold of each target; `reduced` (G, p + 1, p + 1) the targets' normal equations, in units of the prior sd.
     """
 
     terms: tuple[Term, ...]
@@ -159,6 +160,7 @@ class Fit(NamedTuple):
     information: FloatArray
     influence: FloatArray
     held_out: FloatArray
+    reduced: FloatArray
     dropped: tuple[Dropped, ...]
     notes: tuple[str, ...]
 
@@ -242,7 +244,7 @@ def _layout(seen: Observed, kind: _Kind, settings: LeastSquares) -> _Layout:
     short, long = settings.short_block_s or kind.block_s[0], settings.long_block_s or kind.block_s[1]
     n, time = len(seen), seen.time_s
     changes = np.flatnonzero(np.diff(seen.cluster)) + 1
-    target_row = np.r_[0, changes]
+    target_row: IntArray = np.r_[0, changes]
     since = time - np.repeat(time[target_row], np.diff(np.r_[target_row, n]))
     # A slow radar would have few plots in a block; blocks of fewer than about 12 cost more than they tell.
     steps = np.diff(time)[np.diff(seen.cluster) == 0]
@@ -268,7 +270,7 @@ def _layout(seen: Observed, kind: _Kind, settings: LeastSquares) -> _Layout:
     return _Layout(
         block=np.r_[block, n],
         long=np.searchsorted(block, long_row),
-        target=np.searchsorted(long_row, target_row),
+        target=np.asarray(np.searchsorted(long_row, target_row), np.int64),
         target_block=np.r_[target_block, len(block)],
         effects=tuple(effects),
         channels=3 if seen.has_elevation else 2,
@@ -319,9 +321,7 @@ def _row_weights(u: FloatArray, present: BoolArray, settings: LeastSquares, *, c
     return np.where(present, weight, 0.0)
 
 
-def _robust_start(
-    seen: Observed, layout: _Layout, kind: _Kind, terms: tuple[Term, ...], settings: LeastSquares
-) -> _State:
+def _robust_start(seen: Observed, layout: _Layout, kind: _Kind, terms: tuple[Term, ...], settings: LeastSquares) -> _State:
     """A first solution that gross errors do not reach: plain least squares, first with Huber's convex loss, then redescending.
 
     The effects only widen each plot's variance here.  The scale of the residuals is their median's.
@@ -364,9 +364,9 @@ def _robust_start(
 def _reference_share(seen: Observed, terms: tuple[Term, ...], value: FloatArray) -> float:
     """How much of the variance that the reference states of itself changes from plot to plot, 0 … 1.
 
-    Stated accuracies (NACp and the like) are mostly slow errors of a receiver, which belong to the target, not to the noise of the
-    radar.  The squared differences of successive residuals tell: they are regressed on the stated variance, with 1 as the guess where
-    the data say little.
+    Stated accuracies (NACp and the like) are mostly slow errors of a receiver, which belong to the target, not to the noise of
+    the radar.  The squared differences of successive residuals tell: they are regressed on the stated variance, with 1 as the
+    guess where the data say little.
     """
     rows = np.arange(min(len(seen), _START_PLOTS))
     if len(rows) < 3:
@@ -417,7 +417,7 @@ def _products(
     size = layout.block[blocks + 1] - layout.block[blocks]
     piece = np.cumsum(size) // (1 << 14)
     edges = np.r_[np.flatnonzero(np.r_[True, np.diff(piece) != 0]), len(blocks)]
-    for lo, hi in zip(edges[:-1], edges[1:], strict=True):
+    for lo, hi in pairwise(edges.tolist()):
         own = blocks[lo:hi]
         rows = np.concatenate([np.arange(layout.block[b], layout.block[b + 1]) for b in own])
         place, r, x = linearise(seen, rows, terms, state.value)
@@ -468,7 +468,7 @@ def _all_reduced(
     edges = np.r_[np.flatnonzero(np.r_[True, np.diff(batch) != 0]), g]
     parts = [
         mixed.reduce(_products(seen, layout, terms, state, settings, np.arange(lo, hi), weight), state.variances)
-        for lo, hi in zip(edges[:-1], edges[1:], strict=True)
+        for lo, hi in pairwise(edges.tolist())
     ]
     return mixed.Reduced(np.concatenate([q.terms for q in parts]), np.concatenate([q.effects for q in parts]))
 
@@ -549,8 +549,8 @@ def _rank_deficient(
 def rank_check(gram: FloatArray, terms: Sequence[Term], settings: LeastSquares) -> Dropped | None:
     """The latest term whose scaled column is a mix of the earlier ones, or is nothing at all; None where the rank is full.
 
-    `gram` (p, p) is ``X' W X``.  What remains of each unit column after the earlier terms are projected out is the diagonal of its
-    Cholesky factor: the same number that a QR of the columns, taken in this order, has on its diagonal.
+    `gram` (p, p) is ``X' W X``.  What remains of each unit column after the earlier terms are projected out is the diagonal of
+    its Cholesky factor: the same number that a QR of the columns, taken in this order, has on its diagonal.
     """
     size = np.sqrt(np.diag(gram))
     order = sorted(range(len(terms)), key=lambda k: _rank_of(terms[k]))
@@ -564,8 +564,8 @@ def rank_check(gram: FloatArray, terms: Sequence[Term], settings: LeastSquares) 
     for k in order:
         if kept:
             inner, cross = unit[np.ix_(kept, kept)], unit[kept, k]
-            mix = np.linalg.solve(inner, cross)
-            left = float(np.sqrt(max(1.0 - cross @ mix, 0.0)))
+            mix = np.asarray(np.linalg.solve(inner, cross), np.float64)
+            left = float(np.sqrt(max(1.0 - float(cross @ mix), 0.0)))
         else:
             mix, left = np.zeros(0), 1.0
         if left < settings.rank_tolerance:
@@ -655,9 +655,8 @@ def _finish(
     notes = []
     gone = int((weight == 0).sum())
     if gone:
-        notes.append(
-            f"{gone:,} of {len(seen):,} pairs ({100 * gone / len(seen):.1f} %) lie more than {settings.hard_sd:g} sd away and have no weight"
-        )
+        share = f"{gone:,} of {len(seen):,} pairs ({100 * gone / len(seen):.1f} %)"
+        notes.append(f"{share} lie more than {settings.hard_sd:g} sd away and have no weight")
     doubted = int((state.trust < 0.5).sum())
     if doubted:
         notes.append(f"{doubted} of {len(state.trust)} targets differ from all others and have little weight")
@@ -675,6 +674,7 @@ def _finish(
         information=reduced.effects[:, :, :w],
         influence=reduced.effects[:, :, w : w + p] / prior_sd,
         held_out=state.value + held_out * prior_sd,
+        reduced=reduced.terms,
         dropped=tuple(dropped),
         notes=tuple(notes),
     )

@@ -19,8 +19,10 @@ import numpy as np
 
 from .._types import FloatArray, IntArray
 
-# How many targets (plots) the guessed variances count for.
+# How many targets the guessed variances of effects count for where there is one target; nothing from `_ENOUGH_TARGETS` on.
 _GUESS_TARGETS = 0.3
+_ENOUGH_TARGETS = 12
+# How many plots the guessed noise counts for.
 _GUESS_PLOTS = 0.1
 # How many targets the model's own scale counts for.
 _SCALE_TARGETS = 3.0
@@ -40,13 +42,12 @@ class Level(NamedTuple):
 class Products(NamedTuple):
     """Cross products of the columns ``[Z0 | Z1 | Z2 | X | r]`` (width c) of one sensor.
 
-    `channel` (2 or 3, B, c, c) holds ``M' diag(w) M`` for each channel (range, azimuth, elevation) and short block, `count` (the
-    same number,) the
-    plots with weight; `levels` goes from short blocks to targets; `terms` is p.
+    `channel` (2 or 3, B, c, c) holds ``M' diag(w) M`` for each channel (range, azimuth, elevation) and short block, `plots`
+    (2 or 3,) the sum of the weights; `levels` goes from short blocks to targets; `terms` is p.
     """
 
     channel: FloatArray
-    count: FloatArray
+    plots: FloatArray
     levels: tuple[Level, ...]
     terms: int
 
@@ -61,7 +62,8 @@ class Variances(NamedTuple):
 class Reduced(NamedTuple):
     """What is left of each target once its effects are integrated out; targets of several batches are simply stacked.
 
-    `terms` (G, p + 1, p + 1) is ``[X r]' V^-1 [X r]``; `effects` (G, w, w + p + 1) is ``Z' V^-1 [Z X r]`` of the targets' own effects.
+    `terms` (G, p + 1, p + 1) is ``[X r]' V^-1 [X r]``; `effects` (G, w, w + p + 1) is ``Z' V^-1 [Z X r]`` of the targets' own
+    effects.
     """
 
     terms: FloatArray
@@ -94,11 +96,19 @@ def solve(reduced: FloatArray, prior: FloatArray, at: FloatArray) -> Solution:
 
 
 def estimate(
-    products: Products, start: Variances, prior: FloatArray, at: FloatArray, guess: Variances, *, steps: int, tolerance: float = 3e-3
+    products: Products,
+    start: Variances,
+    prior: FloatArray,
+    at: FloatArray,
+    guess: Variances,
+    *,
+    steps: int,
+    tolerance: float = 3e-3,
 ) -> Variances:
     """Variance components by restricted maximum likelihood: multiplicative steps, which keep them positive.
 
-    `guess` weighs like a fraction of one target (`_GUESS_TARGETS`): it decides only where there is next to nothing to learn from.
+    `guess` weighs like a fraction of one target, and less with every target more: it decides only where there is next to
+    nothing to learn from.
     """
     variances = start
     for _ in range(steps):
@@ -120,7 +130,8 @@ def _shrunk_solve(s: FloatArray, d: FloatArray, y: FloatArray) -> FloatArray:
 
 
 class _Rung(NamedTuple):
-    """What eliminating one level leaves behind: ``K Z' V^-1 [Z | rest]``, ``Z' V^-1 [Z | rest]``, K, and the parent of each group."""
+    """What eliminating one level leaves behind: ``K Z' V^-1 [Z | rest]``, ``Z' V^-1 [Z | rest]``, K, and the parent of each
+    group."""
 
     gain: FloatArray
     score: FloatArray
@@ -156,6 +167,7 @@ def _improve(products: Products, variances: Variances, prior: FloatArray, at: Fl
     p, levels = products.terms, products.levels
     rungs, reduced, _ = _upwards(products, variances, keep=True)
     value, covariance = solve(reduced, prior, at)
+    belief = _GUESS_TARGETS * max(0.0, 1.0 - (len(reduced) - 1) / _ENOUGH_TARGETS)
 
     # Effects: what the residuals hold of each over what the model expects.
     new_effects = []
@@ -174,10 +186,10 @@ def _improve(products: Products, variances: Variances, prior: FloatArray, at: Fl
         up = ((score[:, :, p] - x @ value) ** 2).sum(axis=0)
         down = (own - ((x @ covariance) * x).sum(axis=2)).sum(axis=0)
         old, typical = variances.effects[number], guess.effects[number]
-        more, less = _GUESS_TARGETS * typical / np.maximum(old, 1e-300) ** 2, _GUESS_TARGETS / np.maximum(old, 1e-300)
-        ratio = (np.bincount(level.group, up, len(old)) + more) / (
-            np.maximum(np.bincount(level.group, down, len(old)), 0.0) + less
-        )
+        old = np.maximum(old, 1e-12 * typical)
+        more, less = belief * typical / old**2, belief / old
+        down = np.maximum(np.bincount(level.group, down, len(old)), 1e-12 / old)
+        ratio = (np.bincount(level.group, up, len(old)) + more) / (down + less)
         new_effects.append(old * np.sqrt(ratio))
 
     # Downwards: predict the effects, and how uncertain each prediction is.
@@ -205,7 +217,7 @@ def _improve(products: Products, variances: Variances, prior: FloatArray, at: Fl
     for k, m in enumerate(products.channel):
         squares = ((m @ tail[:, :, None])[:, :, 0] * tail).sum()
         used = (inner * m[:, :-1, :-1]).sum() / variances.noise[k]
-        left = max(products.count[k] - used, 0.05 * products.count[k])
+        left = max(products.plots[k] - used, 0.05 * products.plots[k])
         noise[k] = (max(squares, 0.0) + _GUESS_PLOTS * guess.noise[k]) / (left + _GUESS_PLOTS)
     return Variances(noise, tuple(new_effects))
 
@@ -213,11 +225,11 @@ def _improve(products: Products, variances: Variances, prior: FloatArray, at: Fl
 def honest_covariance(reduced: FloatArray, solution: Solution) -> tuple[FloatArray, float]:
     """The covariance (p, p) that the targets' scatter supports, and the effective number of targets.
 
-    The model's covariance has few parameters, so it is steady, but it trusts the model; the cluster sandwich trusts nothing, but with 30
-    targets and 6 terms it is itself so uncertain that its NEES/dof is 1.3 where 1.0 is true (Hotelling).  So the sandwich's meat,
-    in coordinates in which the model expects the identity, is shrunk: its trace gives one scale, and its shape is followed as
-    far as it differs from a multiple of the identity by more than chance (Ledoit & Wolf).  `benchmarks/truthfulness.py`
-    has the figures of all the candidates.
+    The model's covariance has few parameters, so it is steady, but it trusts the model; the cluster sandwich trusts nothing, but
+    with 30 targets and 6 terms it is itself so uncertain that its NEES/dof is 1.5 where 1 is true (Hotelling).  So the
+    sandwich's meat, in coordinates in which the model expects the identity, is shrunk: its trace gives one scale, and its shape
+    is followed as far as it differs from a multiple of the identity by more than chance (Ledoit & Wolf).
+    `benchmarks/truthfulness.py` has the figures of all the candidates.
     """
     score, share = _whitened_scores(reduced, solution)
     p = len(solution.value)
@@ -225,9 +237,8 @@ def honest_covariance(reduced: FloatArray, solution: Solution) -> tuple[FloatArr
     targets = float(weight.sum() ** 2 / max((weight**2).sum(), 1e-300))
     meat = score.T @ score
     scale = float(np.trace(meat) / max(weight.sum(), 1e-300))
-    # Few targets say little of the scale.  Where they are more alike than the model says, go only half the way.
+    # Few targets say little of the scale.
     scale = (targets * scale + _SCALE_TARGETS) / (targets + _SCALE_TARGETS)
-    scale = scale if scale > 1 else np.sqrt(scale)
     chance = scale**2 * float((weight**2).sum() + (share**2).sum())
     apart = float(((meat - scale * np.eye(p)) ** 2).sum())
     follow = max(0.0, 1.0 - chance / apart) if apart > 0 else 0.0

@@ -22,9 +22,9 @@ _TIME_TERMS = frozenset({"time_offset"})
 class Observed:
     """The pairs of one sensor that can be used, sorted by target and time.
 
-    `row` (n,) is the row in the pairs; `enu`, `velocity`, `acceleration` (n, 3) the reference about the antenna at the stamp, local
-    axes; `measured` (n, 3) range, azimuth from true north, elevation (NaN where not measured); `reference_variance` (n, 3) the
-    reference's variance in these; `cluster` (n,) numbers the targets from 0; `time_s` counts from `epoch_s`.
+    `row` (n,) is the row in the pairs; `enu`, `velocity`, `acceleration` (n, 3) the reference about the antenna at the stamp,
+    local axes; `measured` (n, 3) range, azimuth from true north, elevation (NaN where not measured); `reference_variance` (n,
+    3) the reference's variance in these; `cluster` (n,) numbers the targets from 0; `time_s` counts from `epoch_s`.
     """
 
     sensor: Sensor
