@@ -28,6 +28,8 @@ from . import uap
 DAY_S = 86400.0
 # Rows of the table of item offsets that are filled at once: 65,535 bytes hold at most 21,845 records, so a block always fits.
 _ROWS = 1 << 16
+# Bytes that are searched at once for where blocks fit together again: no block is longer.
+_SKIP = 1 << 16
 # Blocks that are looked at to infer an edition: few enough for a stream to start soon, many enough not to be fooled.
 _SAMPLE = 16
 # Records that follow each other in a sample of a file are this close in time, whatever the file.
@@ -119,6 +121,10 @@ def _layout_of(editions: Mapping[int, str]) -> Layout:
 # ------------------------------------------------------------------------------------------------------------------ kernels
 
 
+# A byte as a signed integer.  Numba makes int() of a byte unsigned, and unsigned with signed is a float.
+_int: Any = np.int64
+
+
 @kernel
 def _after(data: ByteArray, q: int, end: int, kind: int, size: int, step: int, most: int) -> int:
     """Where an item that begins at `q` ends; -3 where it runs over `end`, -4 where its length is impossible."""
@@ -133,13 +139,13 @@ def _after(data: ByteArray, q: int, end: int, kind: int, size: int, step: int, m
     elif kind == 3:
         if q >= end:
             return -3
-        q += 1 + size * int(data[q])
+        q += 1 + size * _int(data[q])
     else:
         if q >= end:
             return -3
         if data[q] == 0:
             return -4
-        q += int(data[q])
+        q += _int(data[q])
     return q if q <= end else -3
 
 
@@ -155,7 +161,7 @@ def _record(data: ByteArray, p: int, end: int, cats: IntArray, nodes: IntArray, 
     q += 1
     octets = q - p
     for octet in range(octets):
-        bits = int(data[p + octet])
+        bits = _int(data[p + octet])
         if bits & 0xFE == 0:
             continue
         for k in range(7):
@@ -186,7 +192,7 @@ def _record(data: ByteArray, p: int, end: int, cats: IntArray, nodes: IntArray, 
                     return -3000 - n - 1
                 q += 1
                 for sub_octet in range(q - f):
-                    bits2 = int(data[f + sub_octet])
+                    bits2 = _int(data[f + sub_octet])
                     for j in range(7):
                         if bits2 & (0x80 >> j) == 0:
                             continue
@@ -206,36 +212,48 @@ def _record(data: ByteArray, p: int, end: int, cats: IntArray, nodes: IntArray, 
 
 
 @kernel
+def _length(data: ByteArray, p: int) -> int:
+    """The length that the block at `p` claims."""
+    long: int = _int(data[p + 1]) << 8 | _int(data[p + 2])
+    return long
+
+
+@kernel
 def _walk(
     data: ByteArray, pos: int, final: bool, cats: IntArray, nodes: IntArray,
-    start: IntArray, length: IntArray, category: AnyArray, items: AnyArray, unknown: IntArray,
-) -> tuple[int, int, int, int, int]:  # fmt: skip
-    """Read blocks from `pos` on.  Fills rows; returns (rows, the block where it stopped, how, the record there, the reason)."""
+    start: IntArray, length: IntArray, category: AnyArray, items: AnyArray, unknown: IntArray, row: AnyArray,
+) -> tuple[int, int, int, int, int, int, int]:  # fmt: skip
+    """Read blocks from `pos` on; fills rows.
+
+    Returns the number of rows, the block where it stopped, how, the record there, the reason, and for the block before it (whose
+    end is only believed when what follows makes sense) the number of rows ahead of it and its place (-1: none).
+    """
     size, n, room = len(data), 0, len(start)
+    prev, rows_prev = -1, 0
     while True:
         if size - pos < 3:
-            return n, pos, 0 if pos == size or not final else 6, pos, 0
-        cat = int(data[pos])
-        long = int(data[pos + 1]) << 8 | int(data[pos + 2])
+            return n, pos, 0 if pos == size or not final else 6, pos, 0, rows_prev, prev
+        cat = _int(data[pos])
+        long = _length(data, pos)
         if long < 3:
-            return n, pos, 3, pos, long
+            return n, pos, 3, pos, long, rows_prev, prev
         end = pos + long
         if end > size and not final:
-            return n, pos, 0, pos, 0
+            return n, pos, 0, pos, 0, rows_prev, prev
         first = cats[cat, 0]
         if first == -2:
-            return n, pos, 5, pos, 0
+            return n, pos, 5, pos, 0, rows_prev, prev
         if first < 0:
-            # A category without a table is passed over, if what follows looks like a block.
-            if end > size:
-                return n, pos, 4, pos, 0
-            if end < size or not final:
-                if size - end < 3:
-                    return n, pos, 4 if final else 0, pos, 0
-                if not ((cats[int(data[end]), 0] != -1 or int(data[end]) == cat) and (data[end + 1] or data[end + 2] > 3)):
-                    return n, pos, 4, pos, 0
+            # A category without a table is passed over, if a block follows it and none is hidden in it.
+            known = 0 if end > size else _follows(data, end, final, cats, nodes, row)
+            if known == 0 and end + 3 <= size and _int(data[end]) == cat and _length(data, end) > 3:
+                known = 1
+            if known == 1 and _hidden(data, pos + 3, end, end, False, final, cats, nodes, row) > 0:
+                known = 0
+            if known <= 0:
+                return n, pos, 0 if known < 0 else 4, pos, 0, rows_prev, prev
             unknown[cat] += 1
-            pos = end
+            prev, pos = -1, end
             continue
         before = n
         p = pos + 3
@@ -244,16 +262,17 @@ def _walk(
             if n == room:
                 # No more room: the whole block waits for the next call.
                 items[before:n] = 0
-                return before, pos, 1, pos, 0
+                return before, pos, 1, pos, 0, rows_prev, prev
             q = _record(data, p, stop, cats, nodes, cat, items[n])
             if q < 0:
                 items[n] = 0
-                return n, pos, 2, p, -q
+                return n, pos, 2, p, -q, rows_prev, prev
             start[n], length[n], category[n] = p, q - p, cat
             n += 1
             p = q
         if end > size:
-            return n, pos, 6, p, 0
+            return n, pos, 6, p, 0, rows_prev, prev
+        prev, rows_prev = pos, before
         pos = end
 
 
@@ -263,8 +282,8 @@ def _strict(data: ByteArray, p: int, final: bool, cats: IntArray, nodes: IntArra
     size = len(data)
     if size - p < 3:
         return 0 if final else -1
-    cat = int(data[p])
-    end = p + (int(data[p + 1]) << 8 | int(data[p + 2]))
+    cat = _int(data[p])
+    end = p + _length(data, p)
     if cats[cat, 0] < 0 or end < p + 5:
         return 0
     if end > size:
@@ -279,53 +298,85 @@ def _strict(data: ByteArray, p: int, final: bool, cats: IntArray, nodes: IntArra
 
 
 @kernel
-def _plausible(data: ByteArray, p: int, final: bool, cats: IntArray) -> int:
-    """1 where a block may begin at `p` (or the data end there), 0 where not, -1 where more data are needed to know."""
+def _follows(data: ByteArray, p: int, final: bool, cats: IntArray, nodes: IntArray, row: AnyArray) -> int:
+    """1 where the data end at `p` or a faultless block begins there, 0 where not, -1 where more data are needed to know."""
+    if p == len(data) and final:
+        return 1
+    return min(_strict(data, p, final, cats, nodes, row), 1)
+
+
+@kernel
+def _looks(data: ByteArray, p: int, final: bool, cats: IntArray) -> int:
+    """As `_follows`, but for a block's header alone: a faulty block will do."""
     size = len(data)
     if p == size and final:
         return 1
     if size - p < 3:
         return 0 if final else -1
-    return 1 if cats[int(data[p]), 0] >= 0 and (data[p + 1] > 0 or data[p + 2] > 3) else 0
+    return 1 if cats[data[p], 0] >= 0 and _length(data, p) > 4 else 0
 
 
 @kernel
-def _resume(data: ByteArray, place: int, end: int, final: bool, cats: IntArray, nodes: IntArray, row: AnyArray) -> int:
-    """Where reading goes on after damage at `place` in a block that claims to end at `end`; -1 where only more data can tell.
+def _hidden(
+    data: ByteArray, low: int, high: int, end: int, crossing: bool, final: bool, cats: IntArray, nodes: IntArray, row: AnyArray
+) -> int:
+    """The first place in `low` … `high` where faultless blocks begin; 0: none, -1: only more data can tell.
 
-    A chain of faultless blocks that ends where the damaged block claims to end shows that its length was wrong and blocks
-    are hidden in it.  Else its length is believed if a block may begin behind it.  Else the first faultless block is sought.
+    They must reach `end` or be two, and something like a block must follow; with `crossing`, they must go beyond `end`.
     """
     size = len(data)
-    for p in range(place, min(end, size)):
-        if cats[int(data[p]), 0] < 0:
+    for p in range(low, high):
+        if cats[data[p], 0] < 0:
             continue
-        q = p
-        while q < end:
+        q, blocks = p, 0
+        while q == p or (q < end and q < size):
             q = _strict(data, q, final, cats, nodes, row)
-            if q <= 0:
+            blocks += 1
+            if q <= 0 or (blocks == 2 and not crossing):
                 break
-        if q == end:
-            return p
+        if q > 0 and (q > end or not crossing):
+            q = _looks(data, q, final, cats)
+            if q == 1:
+                return p
         if q == -1:
             return -1
-    if place < end <= size:
-        known = _plausible(data, end, final, cats)
+    return 0
+
+
+@kernel
+def _resume(
+    data: ByteArray, low: int, place: int, end: int, final: bool, cats: IntArray, nodes: IntArray, row: AnyArray, most: int
+) -> int:
+    """Where reading goes on after damage at `place`, in a block that has its records from `low` on and claims to end at `end`.
+
+    Faultless blocks within it, two or up to that end, show that the length was wrong.  Else the length is believed if a faultless
+    block follows.  Else the first faultless block is sought, within `most` bytes; the length is believed again if none lies
+    before its end.  Returns -1 where only more data can tell.
+    """
+    size = len(data)
+    p = _hidden(data, low, min(end, size), end, False, final, cats, nodes, row)
+    if p != 0:
+        return p
+    if end <= size:
+        known = _follows(data, end, final, cats, nodes, row) if end > place else 0
         if known != 0:
             return end if known == 1 else -1
-    for p in range(place, size):
-        if cats[int(data[p]), 0] < 0:
-            continue
-        q = _strict(data, p, final, cats, nodes, row)
-        if q == -1:
-            return -1
-        if q > 0:
-            known = _plausible(data, q, final, cats)
-            if known == -1:
-                return -1
-            if known == 1:
-                return p
-    return size if final else max(place, size - 2)
+    stop = place + most
+    found = 0
+    for p in range(place, min(stop, size)):
+        found = _hidden(data, p, p + 1, p, False, final, cats, nodes, row)
+        if found != 0:
+            break
+    if found == -1 or (found == 0 and size < stop and not final):
+        return -1
+    if found == 0:
+        found = min(stop, size)
+    if place < end <= found:
+        # Two damaged blocks in a row: the second one must not reach beyond the first faultless one.
+        known = _looks(data, end, final, cats)
+        if known < 0 or (known == 1 and (end == size or end + _length(data, end) <= found)):
+            return end if known == 1 else -1
+    return found
 
 
 @kernel
@@ -342,14 +393,14 @@ def _extract(
     for k in range(len(rows)):
         i = rows[k]
         for m in range(len(spec)):
-            at = int(items[i, spec[m, 0]])
+            at = _int(items[i, spec[m, 0]])
             if at == 0:
                 continue
             at += start[i]
             what, out = spec[m, 9], spec[m, 10]
             if what == 3:
                 while True:
-                    flags[k] |= table[out, int(data[at]) >> 1]
+                    flags[k] |= table[out, _int(data[at]) >> 1]
                     if data[at] & 1 == 0:
                         break
                     at += 1
@@ -363,7 +414,7 @@ def _extract(
                 continue
             value = 0
             for j in range(at + spec[m, 1], at + spec[m, 1] + spec[m, 2]):
-                value = value << 8 | int(data[j])
+                value = value << 8 | _int(data[j])
             value = value >> spec[m, 3] & spec[m, 4]
             if value & spec[m, 5]:
                 value -= spec[m, 5] << 1
@@ -675,7 +726,7 @@ def _score(data: ByteArray, places: list[int], category: int, edition: str) -> f
         room = len(block) // 3 + 1
         start, length, cats = np.zeros(room, np.int64), np.zeros(room, np.int64), np.zeros(room, np.uint8)
         items, unknown = np.zeros((room, _width()), np.uint16), np.zeros(256, np.int64)
-        n, _, how, _, _ = _walk(block, 0, True, layout.cats, layout.nodes, start, length, cats, items, unknown)
+        n, _, how, *_ = _walk(block, 0, True, layout.cats, layout.nodes, start, length, cats, items, unknown, items[0].copy())
         if how == _MORE and n:
             whole += 1
             found.append(start[:n] + place)
@@ -725,10 +776,10 @@ def decode(
 ) -> tuple[Records, DecodeState, int]:
     """Decode ASTERIX data blocks: (records, next state, number of bytes consumed).
 
-    What is not consumed is the beginning of a block that is not complete yet (or whose meaning depends on what follows): give it
-    again, with more behind it.  However a stream is cut, the records, the damage and the last state are the same.  `final` says
-    that nothing follows: then everything is consumed, and what is incomplete is damage.  A datagram is final.  `receive_s` (UTC
-    seconds) is when the data were received: it tells the day; without it, times follow on from the state.
+    What is not consumed is what only the bytes that follow can settle: a block that is not complete, and the block before it.
+    Give it again, with more behind it.  However a stream is cut, the records, the damage and the last state are the same.
+    `final` says that nothing follows: then everything is consumed, and what is incomplete is damage.  A datagram is final.
+    `receive_s` (UTC seconds) is when the data were received: it tells the day; without it, times follow on from the state.
     """
     buffer = np.ascontiguousarray(data, np.uint8) if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8)
     parts: list[Records] = []
@@ -782,59 +833,45 @@ def _decode_some(
     n = pos = 0
     go_on = False
     while True:
-        m, pos, how, place, code = _walk(
-            data, pos, final, layout.cats, layout.nodes, start[n:], length[n:], category[n:], items[n:], unknown
+        m, pos, how, place, code, rows_before, before = _walk(
+            data, pos, final, layout.cats, layout.nodes, start[n:], length[n:], category[n:], items[n:], unknown, row
         )
-        if how == _MORE:
-            n += m
-            break
-        if how == _FULL:
-            n += m
-            go_on = True
-            break
+        rows_before += n
+        n += m
         if how == _PENDING:
-            n += m
             which = int(data[pos])
             places, ended = _blocks(data, pos, which, _SAMPLE)
-            if ended and not final:
-                break
-            best, score = _infer(data, places, which) if places else ("", 0.0)
+            best, score = _infer(data, places, which) if places and (final or not ended) else ("", 0.0)
             if score >= 0.5:
                 editions[which] = best
                 layout = _layout_of(editions)
+                # What was read is not read again.
                 continue
-            why, end, place = f"the block fits no known edition of category {which:03d}", _end(data, pos), pos
-        elif how == _CUT:
-            short = (_end(data, pos) if len(data) - pos >= 3 else pos + 3) - len(data)
-            why, end = f"the data end in a block (of byte {state.offset + pos}): at least {short} bytes are missing", len(data)
-        elif how == _HEADER:
-            why, end = f"a block cannot be {code} bytes long", pos + 1
-        elif how == _STRANGE:
-            why, end = f"no block begins here (category {int(data[pos])})", pos + 1
-        else:
-            why = _WHY[code // 1000].format(frn=code % 1000)
-            end = _end(data, pos)
-        # What lies between the damage and where blocks fit together again is lost.  A record's own place may begin a block (if
-        # its block's length is what is wrong), a block's own place may not.
-        search = place if how in (_RECORD, _CUT) else place + 1
-        resumed = _resume(data, search, end, final, layout.cats, layout.nodes, row)
-        if resumed < 0:
-            # More data are needed to know: the block waits as a whole.
-            whole = int(np.count_nonzero(start[n : n + m] < pos)) if how in (_RECORD, _CUT) else m
-            items[n + whole : n + m] = 0
-            n += whole
+        waits = how == _FULL or (how == _MORE and not final) or (how == _PENDING and ended and not final)
+        if how == _MORE and final:
             break
-        n += m
-        if resumed > min(end, len(data)) or how in (_HEADER, _STRANGE):
-            why += f"; {resumed - place} bytes are skipped"
-        elif how == _RECORD and resumed > place:
-            why += f"; the rest of its block ({resumed - place} bytes) is skipped"
-        damaged.append(Damage(state.offset + place, why))
+        if not waits:
+            found = _after_damage(data, pos, how, place, code, before, final, editions, row)
+            waits = found is None
+        if waits:
+            # The block before waits too: whether it really ended there, only what follows can tell.
+            go_on = how == _FULL
+            if before >= 0:
+                pos = before
+            keep = rows_before if before >= 0 else int(np.searchsorted(start[:n], pos))
+            items[keep:n] = 0
+            n = keep
+            break
+        assert found is not None
+        resumed, lost, why = found
+        # Records that reach beyond the place where reading goes on were made of other blocks' bytes.
+        while n and start[n - 1] + length[n - 1] > resumed:
+            n -= 1
+            items[n] = 0
+        damaged.append(Damage(state.offset + lost, why))
         pos = resumed
         if final and pos >= len(data):
             pos = len(data)
-            break
-        if not final and len(data) - pos < 3:
             break
         if room - n < _ROWS // 3 and room == _ROWS:
             go_on = True
@@ -842,6 +879,43 @@ def _decode_some(
     records, state = _assemble(data, state, receive_s, editions, start[:n], length[:n], category[:n], items[:n])
     records = replace(records, damaged=tuple(damaged), unknown={int(c): int(unknown[c]) for c in np.flatnonzero(unknown)})
     return records, replace(state, offset=state.offset + pos), pos, go_on
+
+
+def _after_damage(
+    data: ByteArray, pos: int, how: int, place: int, code: int, before: int, final: bool, editions: dict[int, str], row: AnyArray
+) -> tuple[int, int, str] | None:
+    """Where reading goes on after damage, where the damage is and what it is; None where only more data can tell."""
+    end = _end(data, pos) if len(data) - pos >= 3 else pos + 3
+    if how == _RECORD:
+        why = _WHY[code // 1000].format(frn=code % 1000)
+    elif how == _CUT:
+        why = f"the data end within a block: at least {end - len(data)} bytes are missing"
+    elif how == _HEADER:
+        why, end = f"a block cannot be {code} bytes long", pos + 1
+    elif how == _STRANGE:
+        why, end = f"no block begins here (category {int(data[pos])})", pos + 1
+    else:
+        why = f"the block fits no known edition of category {int(data[pos]):03d}"
+    # While an edition is not known, a block of any of its editions will do.
+    pending = [c for c in uap.INFERRED if c not in editions]
+    choices = [_layout_of(editions | {c: e}) for c in pending for e in uap.INFERRED[c]] or [_layout_of(editions)]
+    if before >= 0 and how in (_HEADER, _STRANGE, _RECORD):
+        # Perhaps the block before is shorter than it says, and this is the middle of the next one.
+        back = [_hidden(data, before + 1, pos, pos, True, final, c.cats, c.nodes, row) for c in choices]
+        if min(back) < 0:
+            return None
+        if max(back) > 0:
+            resumed = min(p for p in back if p > 0)
+            return resumed, before, "the block is longer than what there is of it: it runs into the next one"
+    search = place if how in (_RECORD, _CUT) else pos + 1
+    onward = [_resume(data, pos + 1, search, end, final, c.cats, c.nodes, row, _SKIP) for c in choices]
+    if min(onward) < 0:
+        return None
+    resumed = min(onward)
+    lost = place if how in (_RECORD, _CUT) else pos
+    if resumed > lost:
+        why += f"; {resumed - lost} bytes are skipped"
+    return resumed, lost, why
 
 
 @cache
@@ -1178,11 +1252,11 @@ def decode_items(data: bytes, editions: Mapping[int, str] | None = None) -> Iter
     layout = _layout_of(known)
     buffer = np.frombuffer(data, np.uint8)
     start, length, cats = np.empty(_ROWS, np.int64), np.empty(_ROWS, np.int64), np.empty(_ROWS, np.uint8)
-    unknown = np.zeros(256, np.int64)
+    unknown, row = np.zeros(256, np.int64), np.zeros(layout.width, np.uint16)
     pos = 0
     while pos < len(buffer):
         items = np.zeros((_ROWS, layout.width), np.uint16)
-        n, stop, how, _, _ = _walk(buffer[pos:], 0, True, layout.cats, layout.nodes, start, length, cats, items, unknown)
+        n, stop, how, *_ = _walk(buffer[pos:], 0, True, layout.cats, layout.nodes, start, length, cats, items, unknown, row)
         for i in range(n):
             begin, category = pos + int(start[i]), int(cats[i])
             places = items[i].tolist()
