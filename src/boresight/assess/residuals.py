@@ -32,8 +32,8 @@ class Residuals(_Table):
 
     The reference's range, azimuth, elevation are about the sensor at the plot's stamp, height is ellipsoidal; course is NaN below
     1 m/s.  Elevation residuals are NaN where no elevation was measured.  East, north and distance are horizontal at the target,
-    with the plot put at the reference's height; along and across (positive to the right) follow the reference's course.  Latitude and
-    longitude are those of the reference, and of the plot before and after.
+    with the plot put at the reference's height; along and across (positive to the right) follow the reference's course.  Latitude
+    and longitude are those of the reference, and of the plot before and after.
     """
 
     time_s: FloatArray = _float()

@@ -90,7 +90,7 @@ def robust_sd(values: FloatArray) -> float:
 
 
 class Bins(NamedTuple):
-    """Medians with the band that holds the middle 68 % of each bin's values; bins of too few values are left out."""
+    """Medians and the middle 68 % of each bin's values; NaN in bins of too few values, so that lines break there."""
 
     centre: FloatArray
     median: FloatArray
@@ -106,14 +106,12 @@ def binned(x: FloatArray, y: FloatArray, edges: FloatArray, least: int = 8) -> B
     which = np.clip(np.searchsorted(edges, x, "right") - 1, 0, len(edges) - 2)
     order = np.argsort(which, kind="stable")
     bounds = np.searchsorted(which[order], np.arange(len(edges)))
-    rows = []
-    for start, stop in itertools.pairwise(bounds.tolist()):
+    table = np.full((4, len(edges) - 1), np.nan)
+    for k, (start, stop) in enumerate(itertools.pairwise(bounds.tolist())):
         if stop - start >= least:
             part = order[start:stop]
-            low, middle, high = np.percentile(y[part], (16, 50, 84))
-            rows.append((np.median(x[part]), middle, low, high, stop - start))
-    table = np.array(rows, np.float64).reshape(-1, 5)
-    return Bins(table[:, 0], table[:, 1], table[:, 2], table[:, 3], table[:, 4].astype(np.int64))
+            table[:, k] = np.median(x[part]), *np.percentile(y[part], (50, 16, 84))
+    return Bins(table[0], table[1], table[2], table[3], np.diff(bounds))
 
 
 def _edges(x: FloatArray, bins: int) -> FloatArray:
@@ -395,7 +393,7 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
     code = row * 1000 + column
     order = np.argsort(code, kind="stable")
     _, start, number = np.unique(code[order], return_index=True, return_counts=True)
-    least = 3 if n > 300 else 1
+    least = int(np.clip(n / 1000, 3, 10)) if n > 300 else 1
     arrows = []
     columns = [v[good][order] for v in (x, y, r.east_before_m, r.north_before_m, r.east_after_m, r.north_after_m)]
     for s, k in zip(start, number, strict=True):
@@ -472,11 +470,12 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
             ],
         )
         svg = _svg(figure, name)
+    few = f"cells with fewer than {least} plots have none. " if least > 1 else ""
     scale = f"lengthened {magnify:g} times" if magnify > 1 else "at the map's scale"
     caption = (
         f"Where the plots lie against the reference. Each arrow leads from the reference to the median position "
         "of the radar's plots in "
-        f"a map cell of {cell / 1e3:.2g} km, {scale}, the same in both panels; cells with fewer than {least} plots have none. "
+        f"a map cell of {cell / 1e3:.2g} km, {scale}, the same in both panels; {few}"
         f"What is left after correction should be short and point in no common direction. {_count(n)} plots."
     )
     if len(names) > MAX_TRACKS:
@@ -505,31 +504,31 @@ def zoom_figure(r: Residuals, name: str) -> Drawing | None:
     groups = sorted((g for g in groups if len(g) >= 3), key=lambda g: (-len(g), int(g[0])))[:60]
     windows = []
     for rows in groups:
-        best, count = -1, 0
-        for middle in rows[_some(len(rows), 12)]:
-            inside = (np.abs(x[rows] - x[middle]) < 0.42 * wide) & (np.abs(y[rows] - y[middle]) < 0.42 * wide)
-            # Standing targets fill a window without showing anything: count places, not plots.
-            places = len(np.unique(np.round(np.stack((x[rows][inside], y[rows][inside])) / (0.03 * wide)), axis=1).T)
-            if places > count:
-                best, count = int(middle), places
-        windows.append((count, best, rows))
-    windows = [w for w in windows if w[0] >= 3]
+        # Some 14 places show a stretch best.  Standing targets fill a window without showing anything: count places, not plots.
+        best, places = -1, 0
+        for middle in range(0, len(rows), max(1, len(rows) // 12)):
+            pass_by = _pass(x, y, rows, middle, 0.42 * wide)
+            apart = len(np.unique(np.round(np.stack((x[pass_by], y[pass_by])) / (0.03 * wide)), axis=1).T)
+            if best < 0 or abs(apart - 14) < abs(places - 14):
+                best, places = middle, apart
+        if places >= 3:
+            windows.append((places, best, rows))
     if not windows:
         return None
-    far = np.array([r.reference_range_m[w[1]] for w in windows])
+    far = np.array([r.reference_range_m[rows[middle]] for _, middle, rows in windows])
     parts = [p for p in np.array_split(np.argsort(far, kind="stable"), min(3, len(windows))) if len(p)]
-    chosen = [max((windows[k] for k in part), key=lambda w: w[0]) for part in parts]
+    chosen = [min((windows[k] for k in part), key=lambda w: abs(w[0] - 14)) for part in parts]
 
     with _style(name):
         high = (WIDTH_IN - 0.72 - 0.12 - 2 * 0.62) / 3
         figure, (row,) = _panels(1, 3, high + 1.05, top=0.58, bottom=0.47)
         for spare in row[len(chosen) :]:
             spare.remove()
-        for axes, (_, middle, rows) in zip(row, chosen, strict=False):
-            near = (np.abs(x[rows] - x[middle]) < 0.75 * wide) & (np.abs(y[rows] - y[middle]) < 0.75 * wide)
-            inside = rows[near]
-            nearest = np.argsort(np.hypot(x[inside] - x[middle], y[inside] - y[middle]), kind="stable")[:80]
+        for axes, (_, start, rows) in zip(row, chosen, strict=False):
+            inside = _pass(x, y, rows, start, 0.75 * wide)
+            nearest = np.argsort(np.hypot(x[inside] - x[rows[start]], y[inside] - y[rows[start]]), kind="stable")[:80]
             inside = inside[np.sort(nearest)]
+            middle = rows[start]
             px, py = x[inside] - x[middle], y[inside] - y[middle]
             axes.plot(*_joined(r, inside, px, py), color="#9aa2aa", linewidth=1.3, zorder=1)
             axes.plot(px, py, linestyle="none", marker="o", markersize=2.6, color="#6b737c", markeredgewidth=0, zorder=2)
@@ -572,11 +571,21 @@ def zoom_figure(r: Residuals, name: str) -> Drawing | None:
         )
         svg = _svg(figure, name)
     caption = (
-        "The same at true scale: one stretch of track each from the near, the middle and the far plots, chosen where plots are "
-        "densest. A thin line joins every plot to its reference. After correction the plots should lie about the "
+        "The same at true scale: one stretch of track each from the near, the middle and the far plots, each with "
+        "some 14 plots. A thin line joins every plot to its reference. After correction the plots should lie about the "
         "reference on all sides."
     )
     return Drawing(name, svg, caption, "Close-ups of tracks with raw and corrected plots")
+
+
+def _pass(x: FloatArray, y: FloatArray, rows: IntArray, middle: int, reach: float) -> IntArray:
+    """The unbroken run of `rows` about ``rows[middle]`` that stays within `reach` (m) of it in east and north."""
+    near = (np.abs(x[rows] - x[rows[middle]]) < reach) & (np.abs(y[rows] - y[rows[middle]]) < reach)
+    away = np.flatnonzero(~near)
+    cut = np.searchsorted(away, middle)
+    start = int(away[cut - 1]) + 1 if cut > 0 else 0
+    stop = int(away[cut]) if cut < len(away) else len(rows)
+    return rows[start:stop]
 
 
 def _km(metres: float) -> str:
@@ -840,7 +849,7 @@ def curve_figure(r: Residuals, name: str) -> Drawing | None:
         if quantity is not None:
             measured = binned(x, quantity.before, edges)
             taken = binned(x, quantity.before - quantity.after, edges)
-            if len(measured.centre) and len(taken.centre):
+            if np.isfinite(measured.centre).any() and np.isfinite(taken.centre).any():
                 panels.append((label, x, quantity, measured, taken))
     if not panels:
         return None
@@ -905,7 +914,8 @@ def correlation_figure(found: Calibration, name: str, names: dict[int, str]) -> 
     left, low = 0.25 + 0.068 * max(map(len, labels)), 0.2
     from matplotlib.figure import Figure
 
-    high = p * step + low + 0.062 * max(map(len, labels)) + 0.2
+    upright = p > 5 or several
+    high = p * step + low + (0.062 if upright else 0.034) * max(map(len, labels)) + 0.25
     wide = max(left + p * step + 1.4, WIDTH_IN)
     with _style(name):
         figure = Figure(figsize=(wide, high), facecolor="white")
@@ -915,9 +925,9 @@ def correlation_figure(found: Calibration, name: str, names: dict[int, str]) -> 
         axes.set_xticks(
             np.arange(p),
             labels,
-            rotation=90 if p > 5 or several else 30,
-            ha="center" if p > 5 or several else "left",
-            rotation_mode=None if p > 5 or several else "anchor",
+            rotation=90 if upright else 30,
+            ha="center" if upright else "left",
+            rotation_mode=None if upright else "anchor",
         )
         axes.set_yticks(np.arange(p), labels)
         axes.tick_params(length=0, top=False, labeltop=True, bottom=False, labelbottom=False)

@@ -53,6 +53,11 @@ _WORDS: dict[str, tuple[str, str]] = {
     "tilt_east": ("leans so that elevations in the east are {} too high", "leans so that elevations in the east are {} too low"),
 }
 
+# Meanings that only make sense next to another term's.
+_MEANING = {
+    "along_heading_per_length": "the echo lies ahead of the reference's antenna by this share of the target's length",
+}
+
 # Why a plot took no part, in words that need no knowledge of the program.
 _REASONS = {
     "flag": "marked by the radar as simulated, test, garbled, reflection, side lobe, second-time-around, monitor or extrapolated",
@@ -60,6 +65,7 @@ _REASONS = {
     "no sensor": "of a sensor that sensors.toml does not name",
     "out of limits": "outside the sensor's range limits",
     "duplicate": "the same measurement twice",
+    "airborne": "of targets in the air (a surface radar is judged by those on the ground)",
     "parked": "of targets that do not move",
     "no reference at that time": "no reference position near enough in time",
     "unassigned track": "of tracks for which no reference target was found",
@@ -159,7 +165,7 @@ def render(
         sections=sections,
         correlation=correlation,
         simulated=bool(truth),
-        warnings=list(dict.fromkeys([*warnings, *calibration.warnings])),
+        warnings=[_short(text, calibration) for text in dict.fromkeys([*warnings, *calibration.warnings])],
         clock=list((clock or {}).items()),
         unused=_unused(association),
         used=len(residuals),
@@ -286,7 +292,7 @@ def rows_of(calibration: Calibration, summary: Summary, truth: Mapping[str, floa
                 low=number(value - t * sd, places, sign=True),
                 high=number(value + t * sd, places, sign=True),
                 unit=unit_text(key.unit),
-                meaning=TERMS[key.name].meaning,
+                meaning=_MEANING.get(key.name, TERMS[key.name].meaning),
                 significant=bool(abs(value) > t * sd),
                 true=number(true, places, sign=True),
                 off=number(off, 1, sign=True),
@@ -398,6 +404,13 @@ def _time_span(time_s: FloatArray) -> str:
         return f"{start:%H:%M:%S} to {end:%H:%M:%S} UTC (day unknown), {long}"
     to = f"{end:%H:%M:%S}" if start.date() == end.date() else f"{end:%Y-%m-%d %H:%M:%S}"
     return f"{start:%Y-%m-%d %H:%M:%S} to {to} UTC, {long}"
+
+
+def _short(text: str, calibration: Calibration) -> str:
+    """A warning with the names of files instead of their paths: a report is handed on."""
+    for given in sorted({i.path for i in calibration.inputs}, key=len, reverse=True):
+        text = text.replace(given, Path(given).name)
+    return text
 
 
 def _plain(value: object) -> str:
