@@ -1,4 +1,4 @@
-"""A small scene of its own for the tests of association: aircraft over a radar, told with all truth.  Not the product's simulator."""
+"""A small scene for the tests of association: aircraft over a radar, with all truth.  Not the product's simulator."""
 
 from __future__ import annotations
 
@@ -25,7 +25,16 @@ class Scene:
 
 def radar(**change: object) -> Sensor:
     """The radar of the scenes."""
-    values = {"name": "R", "sac": 20, "sic": 129, "lat_deg": LAT, "lon_deg": LON, "height_m": HEIGHT, "scan_s": 4.0, "kind": "ssr"}
+    values = {
+        "name": "R",
+        "sac": 20,
+        "sic": 129,
+        "lat_deg": LAT,
+        "lon_deg": LON,
+        "height_m": HEIGHT,
+        "scan_s": 4.0,
+        "kind": "ssr",
+    }
     return Sensor(**(values | change))
 
 
@@ -91,7 +100,8 @@ def scene(
     order = np.argsort(time, kind="stable")
     number = rng.permutation(aircraft) + 100
     plots = Plots(
-        time_s=begin_s + time + late_s, sensor=np.full(len(who), 20 << 8 | 129), range_m=distance, azimuth_rad=azimuth % (2 * np.pi),
+        time_s=begin_s + time + late_s, sensor=np.full(len(who), 20 << 8 | 129), range_m=distance,
+        azimuth_rad=azimuth % (2 * np.pi),
         mode_s=np.where(who >= 0, address[who], -1) if identity else None,
         track=np.where(who >= 0, number[who], -1) if numbers else None,
         record=np.arange(len(who)),

@@ -268,8 +268,8 @@ def _repeated(plots: Plots, rows: IntArray) -> BoolArray:
     time = plots.time_s[rows]
     by = np.argsort(time, kind="stable") if np.any(np.diff(time) < 0) else np.arange(len(rows))
     # Only plots that share their stamp with another need the full comparison.
-    same = np.diff(time[by]) == 0
-    shared = by[np.r_[False, same] | np.r_[same, False]]
+    same = np.flatnonzero(np.diff(time[by]) == 0)
+    shared = by[np.union1d(same, same + 1)]
     if not len(shared):
         return out
     at = rows[shared]

@@ -211,7 +211,7 @@ def is_significant(peak: Peak, spoilt: list[Peak], tracks: int) -> bool:
     """Whether a peak is more than chance gathers.
 
     `spoilt` are the peaks of the same search with clocks or north spoilt, so that no candidate can be true.  At least `tracks`
-    tracks must be explained, more than in any spoilt search, and the score must exceed their mean by four of its standard
+    tracks must be explained, more than in any spoilt search, and the score must exceed their mean by three of its standard
     deviations as a count (Poisson) and by a half.
     """
     if peak.tracks < tracks:
@@ -220,7 +220,7 @@ def is_significant(peak: Peak, spoilt: list[Peak], tracks: int) -> bool:
         return True
     mean = float(np.mean([p.score for p in spoilt]))
     most = max(p.score for p in spoilt)
-    return peak.score > 1.5 * mean and peak.score > mean + 4 * np.sqrt(mean) and peak.score > most + min(1.0, 0.25 * most + 0.5)
+    return peak.score > 1.5 * mean and peak.score > mean + 3 * np.sqrt(mean) and peak.score > most + min(1.0, 0.25 * most + 0.5)
 
 
 def shared_offset(
