@@ -424,9 +424,10 @@ def _fill_from_neighbours(code: IntArray, source: IntArray, track: IntArray, tim
 METHODS = ("nearest", "linear", "cubic", "smooth")
 _FASTEST_MPS = 400.0
 _FASTEST_ON_GROUND_MPS = 120.0
-# Half widths of the windows that velocity is fitted over.  The widest that agrees with the next two narrower ones is used.
-_LADDER_S = (2.5, 4.5, 8.5, 16.5)
-_FEWEST = (3, 5, 7, 9)
+# Half widths of the windows that velocity is fitted over, and how many rows each holds at least (the first: a reported
+# velocity alone).  The widest that agrees with the next two narrower ones is used.
+_LADDER_S = (0.0, 2.5, 4.5, 8.5, 16.5)
+_FEWEST = (1, 3, 5, 7, 9)
 _MOST_POINTS = 240
 _AGREEMENT = 10.0
 # No target pulls much more than this (variance per axis, m^2/s^4): it steadies short windows at the ends of a segment.
@@ -434,7 +435,8 @@ _PULL2 = 25.0
 _SPIKE = 100.0
 # Reported velocities are worth using below this sd; neighbouring ones share their errors, hence the factor on the variance.
 _WORTH_MPS = 4.0
-_SHARED = 4.0
+_SHARED = 2.0
+_WILD_MPS = 60.0
 _COURSE_MPS = 3.0
 # Unknown manoeuvres between two fixes: white acceleration, m^2/s^3.
 _MANOEUVRE = 0.05
@@ -713,7 +715,7 @@ def _fit_all(
     unit = np.ones(k)
 
     # The noise that neighbours do not share shows in the narrowest windows, whatever a fix says of its accuracy.
-    narrow, fewest = np.array(_LADDER_S[:1]), np.array([5], np.int64)
+    narrow, fewest = np.array(_LADDER_S[1:2]), np.array([5], np.int64)
     vertical = np.where(fixes.vertical_sd_m[row] > 0, fixes.vertical_sd_m[row], sd)
     found = _fit(local, position, weight, no_velocity, no_weight, up, low, high, unit, narrow, fewest, _AGREEMENT, _MOST_POINTS)
     leverage = np.minimum(found[4] * weight, 1.0)
@@ -778,7 +780,7 @@ def _reported(
 ) -> tuple[FloatArray, FloatArray]:
     """Reported velocities (k, 3), ECEF, and weights 1 / variance (k,): 0 where there is none or the source's is not good.
 
-    What a source's velocities are worth is measured: their 90 % distance from the fitted ones, less the fit's own variance.  A
+    What a source's velocities are worth is measured: their median distance from the fitted ones, less the fit's own variance.  A
     missing vertical rate is the fitted one.
     """
     east, north, climb = fixes.velocity_east_mps[row], fixes.velocity_north_mps[row], fixes.velocity_up_mps[row]
@@ -793,12 +795,10 @@ def _reported(
         mine = there & (source == key) & np.isfinite(fitted_var)
         if mine.sum() < 20:
             continue
-        # 4.605: the 90 % quantile of chi-square with two degrees of freedom.
-        variance = float(np.quantile(difference2[mine], 0.9)) / 4.605 - float(np.quantile(fitted_var[mine], 0.9))
-        sd2 = max(variance, 0.15**2)
+        # The median, since the tails are mostly those of positions (stamps that jitter).  2 ln 2: that of chi-square, 2 dof.
+        sd2 = max(float(np.median(difference2[mine])) / (2 * np.log(2)) - float(np.median(fitted_var[mine])), 0.15**2)
         if sd2 <= _WORTH_MPS**2:
-            # A single velocity that is far off all the same is not used.
-            weight[mine & (difference2 <= 16 * (sd2 + fitted_var))] = 1 / (_SHARED * sd2)
+            weight[mine & (difference2 <= _WILD_MPS**2)] = 1 / (_SHARED * sd2)
     flat = np.stack(
         [np.where(there, east, 0.0), np.where(there, north, 0.0), np.where(np.isfinite(climb), climb, local[:, 2])], axis=1
     )
@@ -844,7 +844,7 @@ def _fit(
         m = np.zeros((3, 3))
         j_low, j_high = i, i
         count, speeds, seen, last = 0, 0, 0, -1
-        begin, end = i, i + 1
+        begin, end, alone = i, i + 1, False
         for level in range(levels):
             half = ladder[level]
             while True:
@@ -899,7 +899,8 @@ def _fit(
                 continue
             last = rows
             if rows < 2 and speeds == 0:
-                break
+                continue
+            alone = alone or rows < 2
             # Times in units of the window keep the matrix well scaled.
             u = max(time[i] - time[begin], time[end - 1] - time[i], 1e-3)
             n00, n01, n11 = s0, s1 / u, (s2 + g0) / (u * u)
@@ -957,7 +958,9 @@ def _fit(
                 if d2 - du * du > agreement * max(spread, 0.0) + 1e-12:
                     agrees = False
             if agrees:
-                p_out[i], v_out[i], a_out[i] = seen_p[level], seen_v[level], seen_a[level]
+                # One velocity alone tells no acceleration: the next window does.
+                bent = level + 1 if level == 0 and alone and seen > 1 else level
+                p_out[i], v_out[i], a_out[i] = seen_p[level], seen_v[level], seen_a[bent]
                 vv_out[i], pv_out[i] = seen_vv[level], seen_pv[level]
                 break
     return p_out, v_out, a_out, vv_out, pv_out
