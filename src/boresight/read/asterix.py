@@ -30,6 +30,8 @@ DAY_S = 86400.0
 _ROWS = 1 << 16
 # Bytes that are searched at once for where blocks fit together again: no block is longer.
 _SKIP = 1 << 16
+# So far blocks of categories without a table may follow each other until one with a table shows that they are blocks.
+_CHAIN = 1 << 16
 # Blocks that are looked at to infer an edition: few enough for a stream to start soon, many enough not to be fooled.
 _SAMPLE = 16
 # Records that follow each other in a sample of a file are this close in time, whatever the file.
@@ -245,9 +247,17 @@ def _walk(
             return n, pos, 5, pos, 0, rows_prev, prev
         if first < 0:
             # A category without a table is passed over, if a block follows it and none is hidden in it.
-            known = 0 if end > size else _follows(data, end, final, cats, nodes, row)
-            if known == 0 and end + 3 <= size and _int(data[end]) == cat and _length(data, end) > 3:
-                known = 1
+            known, q = 0, end
+            while q <= size and q < end + _CHAIN:
+                known = _follows(data, q, final, cats, nodes, row)
+                if known != 0 or size - q < 3 or cats[data[q], 0] >= 0 or _length(data, q) < 3:
+                    break
+                if _int(data[q]) == cat and q > pos:
+                    known = 1
+                    break
+                q += _length(data, q)
+            if known == 0 and q > size and not final:
+                known = -1
             if known == 1 and _hidden(data, pos + 3, end, end, False, final, cats, nodes, row) > 0:
                 known = 0
             if known <= 0:
@@ -302,6 +312,9 @@ def _follows(data: ByteArray, p: int, final: bool, cats: IntArray, nodes: IntArr
     """1 where the data end at `p` or a faultless block begins there, 0 where not, -1 where more data are needed to know."""
     if p == len(data) and final:
         return 1
+    if len(data) - p >= 3 and cats[data[p], 0] == -2:
+        # A block of a category whose edition is not known yet cannot be looked into.
+        return 1 if _length(data, p) > 4 else 0
     return min(_strict(data, p, final, cats, nodes, row), 1)
 
 
@@ -313,7 +326,7 @@ def _looks(data: ByteArray, p: int, final: bool, cats: IntArray) -> int:
         return 1
     if size - p < 3:
         return 0 if final else -1
-    return 1 if cats[data[p], 0] >= 0 and _length(data, p) > 4 else 0
+    return 1 if cats[data[p], 0] != -1 and _length(data, p) > 4 else 0
 
 
 @kernel
@@ -781,7 +794,7 @@ def decode(
     `final` says that nothing follows: then everything is consumed, and what is incomplete is damage.  A datagram is final.
     `receive_s` (UTC seconds) is when the data were received: it tells the day; without it, times follow on from the state.
     """
-    buffer = np.ascontiguousarray(data, np.uint8) if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8)
+    buffer = _buffer(data)
     parts: list[Records] = []
     consumed = 0
     while True:
@@ -791,6 +804,14 @@ def decode(
         if not go_on:
             break
     return parts[0] if len(parts) == 1 else _join(parts), state, consumed
+
+
+def _buffer(data: bytes | bytearray | memoryview | ByteArray) -> ByteArray:
+    """The data as one kind of array (read-only), so that the kernels are compiled once."""
+    buffer = np.ascontiguousarray(data, np.uint8) if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8)
+    buffer = buffer.view()
+    buffer.flags.writeable = False
+    return buffer
 
 
 def _end(data: ByteArray, pos: int) -> int:
@@ -868,6 +889,7 @@ def _decode_some(
         while n and start[n - 1] + length[n - 1] > resumed:
             n -= 1
             items[n] = 0
+            lost = min(lost, int(start[n]))
         damaged.append(Damage(state.offset + lost, why))
         pos = resumed
         if final and pos >= len(data):
@@ -1064,7 +1086,7 @@ def _bytes_of(path: str | Path) -> ByteArray:
         ) from error
     if not len(data):
         raise InputError("the file is empty", path=path, remedy="Give a recording of ASTERIX data blocks.")
-    return data
+    return _buffer(data)
 
 
 def _nothing(path: str | Path, data: ByteArray, records: Records) -> InputError:
@@ -1250,7 +1272,7 @@ def decode_items(data: bytes, editions: Mapping[int, str] | None = None) -> Iter
     """
     known = {c: uap.default_edition(c) for c in uap.categories()} | dict(editions or {})
     layout = _layout_of(known)
-    buffer = np.frombuffer(data, np.uint8)
+    buffer = _buffer(data)
     start, length, cats = np.empty(_ROWS, np.int64), np.empty(_ROWS, np.int64), np.empty(_ROWS, np.uint8)
     unknown, row = np.zeros(256, np.int64), np.zeros(layout.width, np.uint16)
     pos = 0
