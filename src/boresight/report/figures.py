@@ -324,6 +324,12 @@ def _targets(n: int) -> str:
     return f"{_count(n)} {'target' if n == 1 else 'targets'}"
 
 
+def _metres(distance_m: FloatArray) -> str:
+    known = distance_m[np.isfinite(distance_m)]
+    middle = float(np.median(known)) if len(known) else float("nan")
+    return f"{middle:.0f} m" if middle >= 100 else f"{middle:.1f} m"
+
+
 def _count(n: int) -> str:
     return f"{n:,}".replace(",", "\u202f")
 
@@ -421,8 +427,8 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
         line_x, line_y = _paths(r, drawn, x, y)
         key = _round_number(typical)
         for axes, title, colour, east, north in (
-            (left, "Before correction", BEFORE, arrow[:, 2], arrow[:, 3]),
-            (right, "After correction", AFTER, arrow[:, 4], arrow[:, 5]),
+            (left, f"Before correction: median error {_metres(r.distance_before_m)}", BEFORE, arrow[:, 2], arrow[:, 3]),
+            (right, f"After correction: median error {_metres(r.distance_after_m)}", AFTER, arrow[:, 4], arrow[:, 5]),
         ):
             axes.plot(line_x / 1e3, line_y / 1e3, color="#b9bfc6", linewidth=0.6, rasterized=len(line_x) > 1500, zorder=1)
             axes.quiver(
@@ -487,6 +493,8 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
 
 def zoom_figure(r: Residuals, name: str) -> Drawing | None:
     """Up to three stretches of track at true scale: reference, raw plots, corrected plots."""
+    from matplotlib.ticker import MaxNLocator
+
     x, y = ground(r)
     good = np.isfinite(x) & np.isfinite(r.east_before_m) & np.isfinite(r.east_after_m)
     index = np.flatnonzero(good)
@@ -498,18 +506,19 @@ def zoom_figure(r: Residuals, name: str) -> Drawing | None:
     typical = float(np.median(np.hypot(r.east_before_m, r.north_before_m)[index]))
     steps = np.hypot(np.diff(x[index]), np.diff(y[index]))[np.diff(label) == 0]
     steps = steps[steps > 1.0]
-    wide = max(7.0 * typical, 9.0 * float(np.median(steps)) if len(steps) else 0.0, 20.0)
+    wide = max(7.0 * typical, 6.0 * float(np.median(steps)) if len(steps) else 0.0, 20.0)
+    unit, scale = ("km", 1e3) if wide > 4000 else ("m", 1.0)
 
     # Looking at every track of a long recording would take seconds; of those with most plots, a few dozen are plenty.
     groups = sorted((g for g in groups if len(g) >= 3), key=lambda g: (-len(g), int(g[0])))[:60]
     windows = []
     for rows in groups:
-        # Some 14 places show a stretch best.  Standing targets fill a window without showing anything: count places, not plots.
+        # A dozen places show a stretch best.  Standing targets fill a window without showing anything: count places, not plots.
         best, places = -1, 0
-        for middle in range(0, len(rows), max(1, len(rows) // 12)):
+        for middle in range(len(rows) // 10, max(len(rows) - len(rows) // 10, 1), max(1, len(rows) // 12)):
             pass_by = _pass(x, y, rows, middle, 0.42 * wide)
             apart = len(np.unique(np.round(np.stack((x[pass_by], y[pass_by])) / (0.03 * wide)), axis=1).T)
-            if best < 0 or abs(apart - 14) < abs(places - 14):
+            if best < 0 or abs(apart - 12) < abs(places - 12):
                 best, places = middle, apart
         if places >= 3:
             windows.append((places, best, rows))
@@ -517,7 +526,7 @@ def zoom_figure(r: Residuals, name: str) -> Drawing | None:
         return None
     far = np.array([r.reference_range_m[rows[middle]] for _, middle, rows in windows])
     parts = [p for p in np.array_split(np.argsort(far, kind="stable"), min(3, len(windows))) if len(p)]
-    chosen = [min((windows[k] for k in part), key=lambda w: abs(w[0] - 14)) for part in parts]
+    chosen = [min((windows[k] for k in part), key=lambda w: abs(w[0] - 12)) for part in parts]
 
     with _style(name):
         high = (WIDTH_IN - 0.72 - 0.12 - 2 * 0.62) / 3
@@ -529,14 +538,14 @@ def zoom_figure(r: Residuals, name: str) -> Drawing | None:
             nearest = np.argsort(np.hypot(x[inside] - x[rows[start]], y[inside] - y[rows[start]]), kind="stable")[:80]
             inside = inside[np.sort(nearest)]
             middle = rows[start]
-            px, py = x[inside] - x[middle], y[inside] - y[middle]
+            px, py = (x[inside] - x[middle]) / scale, (y[inside] - y[middle]) / scale
             axes.plot(*_joined(r, inside, px, py), color="#9aa2aa", linewidth=1.3, zorder=1)
             axes.plot(px, py, linestyle="none", marker="o", markersize=2.6, color="#6b737c", markeredgewidth=0, zorder=2)
             for east, north, colour, light, size in (
                 (r.east_before_m, r.north_before_m, BEFORE, BEFORE_LIGHT, 4.4),
                 (r.east_after_m, r.north_after_m, AFTER, AFTER_LIGHT, 4.4),
             ):
-                qx, qy = px + east[inside], py + north[inside]
+                qx, qy = px + east[inside] / scale, py + north[inside] / scale
                 gap = np.full(len(px), np.nan)
                 axes.plot(
                     np.stack((px, qx, gap), 1).ravel(), np.stack((py, qy, gap), 1).ravel(), color=light, linewidth=0.6, zorder=2
@@ -552,14 +561,16 @@ def zoom_figure(r: Residuals, name: str) -> Drawing | None:
                     markeredgewidth=0.5,
                     zorder=3,
                 )
-            axes.set_xlim(-wide / 2, wide / 2)
-            axes.set_ylim(-wide / 2, wide / 2)
+            axes.set_xlim(-wide / 2 / scale, wide / 2 / scale)
+            axes.set_ylim(-wide / 2 / scale, wide / 2 / scale)
+            axes.xaxis.set_major_locator(MaxNLocator(5))
+            axes.yaxis.set_major_locator(MaxNLocator(5))
             axes.set_aspect("equal")
-            axes.set_xlabel("east (m)")
+            axes.set_xlabel(f"east ({unit})")
             speed = np.nanmedian(r.reference_speed_mps[inside]) if np.isfinite(r.reference_speed_mps[inside]).any() else np.nan
             moving = f", {speed:.0f} m/s" if np.isfinite(speed) else ""
             axes.set_title(f"Target {r.target[middle]}: {_km(r.reference_range_m[middle])} away{moving}")
-        row[0].set_ylabel("north (m)")
+        row[0].set_ylabel(f"north ({unit})")
         _legend(
             figure,
             [
@@ -571,8 +582,8 @@ def zoom_figure(r: Residuals, name: str) -> Drawing | None:
         )
         svg = _svg(figure, name)
     caption = (
-        "The same at true scale: one stretch of track each from the near, the middle and the far plots, each with "
-        "some 14 plots. A thin line joins every plot to its reference. After correction the plots should lie about the "
+        "The same at true scale: one stretch of track each from the near, the middle and the far plots, each with a "
+        "dozen plots or so. A thin line joins every plot to its reference. After correction the plots should lie about the "
         "reference on all sides."
     )
     return Drawing(name, svg, caption, "Close-ups of tracks with raw and corrected plots")

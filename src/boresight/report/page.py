@@ -231,7 +231,7 @@ def number(value: float, places: int, *, sign: bool = False) -> str:
 
 def metres(value: float) -> str:
     """A distance in metres to three digits or a decimetre."""
-    return number(value, 0 if abs(value) >= 100 else 1)
+    return count(round(value)) if abs(value) >= 100 else number(value, 1)
 
 
 def unit_text(unit: str) -> str:
@@ -473,7 +473,7 @@ def _section(
     return {
         "anchor": slug,
         "name": summary.name,
-        "kind": sensor.kind if sensor is not None else "",
+        "kind": sensor.kind.replace("_", " ") if sensor is not None else "",
         "source": f"SAC/SIC {summary.sensor >> 8}/{summary.sensor & 255}" if summary.sensor < 65536 else f"id {summary.sensor}",
         "verdict": first,
         "not_significant": second,
