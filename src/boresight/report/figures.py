@@ -324,10 +324,12 @@ def _targets(n: int) -> str:
     return f"{_count(n)} {'target' if n == 1 else 'targets'}"
 
 
-def _metres(distance_m: FloatArray) -> str:
+def _median_error(distance_m: FloatArray) -> str:
     known = distance_m[np.isfinite(distance_m)]
-    middle = float(np.median(known)) if len(known) else float("nan")
-    return f"{middle:.0f} m" if middle >= 100 else f"{middle:.1f} m"
+    if not len(known):
+        return ""
+    middle = float(np.median(known))
+    return f": median error {middle:.{0 if middle >= 100 else 1}f} m"
 
 
 def _count(n: int) -> str:
@@ -427,8 +429,8 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
         line_x, line_y = _paths(r, drawn, x, y)
         key = _round_number(typical)
         for axes, title, colour, east, north in (
-            (left, f"Before correction: median error {_metres(r.distance_before_m)}", BEFORE, arrow[:, 2], arrow[:, 3]),
-            (right, f"After correction: median error {_metres(r.distance_after_m)}", AFTER, arrow[:, 4], arrow[:, 5]),
+            (left, f"Before correction{_median_error(r.distance_before_m)}", BEFORE, arrow[:, 2], arrow[:, 3]),
+            (right, f"After correction{_median_error(r.distance_after_m)}", AFTER, arrow[:, 4], arrow[:, 5]),
         ):
             axes.plot(line_x / 1e3, line_y / 1e3, color="#b9bfc6", linewidth=0.6, rasterized=len(line_x) > 1500, zorder=1)
             axes.quiver(
