@@ -216,6 +216,18 @@ class TestIdentity:
         assert not np.any(s.plot_of[found.pairs.plot] == 3)
         assert np.sum(s.plot_of[found.pairs.plot] == 4) > 60
 
+    def test_one_wrong_address_does_not_decide(self):
+        """A single aircraft with Mode S, and its address is another's: the many without identity are believed."""
+        s = scene(seed=9, aircraft=30, unknown=0.2)
+        sent = np.unique(s.fix_of)
+        mode_s = np.full(len(s.plots), -1)
+        mode_s[s.plot_of == sent[0]] = s.fixes.mode_s[s.fix_of == sent[1]][0]
+        s.plots = s.plots.replace(mode_s=mode_s)
+        found = find(s)
+        assert found.bias[0].by == "geometry"
+        assert errors(s, found) == 0
+        assert len(found.pairs) >= 0.94 * pairable(s)
+
     def test_reused_codes_need_geometry(self):
         """All aircraft share two Mode 3/A codes: codes alone would pair anything; geometry keeps every pair right."""
         s = scene(seed=8, aircraft=30, unknown=0.2)

@@ -47,7 +47,8 @@ def coarse(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names) -> 
     """
     said: list[str] = []
     start, end = span_of(scene, tracks)
-    strong = None
+    named: CoarseBias | None = None
+    units = _units(scene, tracks)
     if scene.settings.use_identity and len(tracks):
         meets = meeting(start, end, scene.reference, scene.window.time_s)
         links = identity.links(names, scene.reference.names, meets & ~identity.conflict(names, scene.reference.names))
@@ -55,18 +56,22 @@ def coarse(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names) -> 
         if np.any(strong):
             peak, compared = _by_identity(scene, tracks, links.track[strong], links.target[strong])
             if compared and peak.tracks >= max(1, 0.4 * compared) and not _at_edge(peak, scene.window):
-                return _bias(scene, peak, "identity", compared, np.nan), said
-            if compared:
+                named = _bias(scene, peak, "identity", compared, np.nan)
+                # One or two tracks may carry a wrong address: where others could contradict them, they are heard.
+                if compared >= 3 or len(np.unique(units.unit)) < 2 * compared:
+                    return named, said
+            elif compared:
                 why = f"only {peak.tracks} of them agree on the biases"
                 if _at_edge(peak, scene.window):
                     why = "the time bias on which they agree lies at the edge of the window or beyond"
                 said.append(f"{scene.sensor.name}: identity pairs {compared} tracks, but {why}")
-    units = _units(scene, tracks)
     peak, spoilt, looked_at = _by_votes(scene, tracks, names, units)
     needed = _FEWEST_PLOTS if _single(tracks, units) else scene.settings.min_tracks
     chance = float(np.mean([p.score for p in spoilt])) if spoilt else 0.0
     if hough.is_significant(peak, spoilt, needed) and not _at_edge(peak, scene.window):
         return _bias(scene, peak, "geometry", looked_at, chance), said
+    if named is not None:
+        return named, said
     raise _refusal(scene, tracks, names, units, peak, chance, looked_at, needed, said)
 
 
@@ -235,7 +240,7 @@ def _probable_offset(scene: Scene, tracks: tracklets.Tracklets, names: identity.
     states = align.states(reference.trajectories, target, time)
     moving = states.valid & (np.linalg.norm(states.velocity, axis=1) >= scene.assumed.min_speed_mps)
     target, time = target[moving], time[moving]
-    enu = (states.position[moving] - scene.site) @ scene.enu_from_ecef.T
+    enu = scene.local(states.position[moving] - scene.site)
     slant = np.linalg.norm(enu, axis=1) / np.maximum(np.hypot(enu[:, 0], enu[:, 1]), 1.0)
     distance, azimuth = plots.range_m[units.row], scene.azimuth_rad[units.row]
     radius = scene.window.range_m + 0.5 * scene.window.azimuth_rad * float(np.median(distance))

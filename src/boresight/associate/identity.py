@@ -103,7 +103,7 @@ def links(tracks: Names, targets: Names, compatible: BoolArray) -> Links:
 
     A pair that agrees in several kinds is listed with the most trusted one.
     """
-    kind = np.full(compatible.shape, -1, np.int64)
+    kind = np.full(compatible.shape, -1, np.int8)
     for k in range(len(KINDS) - 1, -1, -1):
         a, b = tracks.value[k], targets.value[k]
         # Sorted lookup: a full table of comparisons would be slow for thousands of tracks and targets.
@@ -116,7 +116,7 @@ def links(tracks: Names, targets: Names, compatible: BoolArray) -> Links:
         kind[track, by[np.repeat(low, count) + inside]] = k
     kind[~compatible] = -1
     track, target = np.nonzero(kind >= 0)
-    return Links(track, target, kind[track, target])
+    return Links(track, target, kind[track, target].astype(np.int64))
 
 
 def conflict(tracks: Names, targets: Names) -> BoolArray:

@@ -32,7 +32,7 @@ def nearest(scene: Scene, rows: IntArray, bias: CoarseBias) -> IntArray:
     time = low[target] + step * (np.arange(len(target)) - np.repeat(np.cumsum(count) - count, count))
     states = align.states(reference.trajectories, target, time)
     target, time = target[states.valid], time[states.valid]
-    enu = (states.position[states.valid] - scene.site) @ scene.enu_from_ecef.T
+    enu = scene.local(states.position[states.valid] - scene.site)
     if not len(enu):
         return out
     polar = measure.polar_from_enu(enu)
