@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import t as student
 
@@ -19,7 +19,7 @@ from boresight.calibration import Calibration
 from boresight.errors import InputError
 from boresight.model import Sensors
 from boresight.report import write_report
-from boresight.report.figures import binned, quantities, robust_sd
+from boresight.report.figures import binned, group_quantiles, quantities, robust_sd
 from boresight.report.page import decimals, number, quantile95, render, verdict
 from conftest import Scene
 
@@ -279,6 +279,20 @@ def test_binned_medians_are_those_of_numpy() -> None:
         assert b.number[k] == inside.sum()
         np.testing.assert_allclose((b.low[k], b.median[k], b.high[k]), np.percentile(y[inside], (16, 50, 84)))
         assert b.centre[k] == pytest.approx(np.median(x[inside]))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 6), st.floats(-1e6, 1e6)), max_size=60), st.floats(0, 1))
+def test_quantiles_of_groups_are_those_of_numpy(pairs: list[tuple[int, float]], share: float) -> None:
+    group, values = np.array([p[0] for p in pairs], np.int64), np.array([p[1] for p in pairs], np.float64)
+    (found,), number = group_quantiles(values, group, 7, (share,))
+    for k in range(7):
+        inside = values[group == k]
+        assert number[k] == len(inside)
+        if len(inside):
+            np.testing.assert_allclose(found[k], np.quantile(inside, share), atol=1e-6)
+        else:
+            assert np.isnan(found[k])
 
 
 def test_thin_bins_are_left_out() -> None:

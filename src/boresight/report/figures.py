@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import io
-import itertools
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -99,19 +98,38 @@ class Bins(NamedTuple):
     number: IntArray
 
 
+def group_quantiles(values: FloatArray, group: IntArray, groups: int, shares: Sequence[float]) -> tuple[FloatArray, IntArray]:
+    """Quantiles of the `values` (n,) of each of so many groups, linearly interpolated as NumPy does, and the numbers of values.
+
+    `group` (n,) counts from 0.  Gives (shares, groups), NaN for a group without values, and (groups,).  NaN values do not count.
+    """
+    known = np.isfinite(values)
+    values, group = values[known], group[known].astype(np.int16 if groups < 1 << 15 else np.int32)
+    by_value = np.argsort(values)
+    order = by_value[np.argsort(group[by_value], kind="stable")]
+    values, bounds = values[order], np.searchsorted(group[order], np.arange(groups + 1))
+    number = np.diff(bounds)
+    out = np.full((len(shares), groups), np.nan)
+    filled = number > 0
+    for k, share in enumerate(shares):
+        place = share * (number[filled] - 1)
+        low = np.floor(place).astype(np.int64)
+        first, second = bounds[:-1][filled] + low, bounds[:-1][filled] + np.minimum(low + 1, number[filled] - 1)
+        out[k, filled] = values[first] + (place - low) * (values[second] - values[first])
+    return out, number
+
+
 def binned(x: FloatArray, y: FloatArray, edges: FloatArray, least: int = 8) -> Bins:
     """Medians and 16 % and 84 % points of `y` over bins of `x`; `centre` is the median `x` of a bin."""
     known = np.isfinite(x) & np.isfinite(y)
     x, y = x[known], y[known]
     which = np.clip(np.searchsorted(edges, x, "right") - 1, 0, len(edges) - 2)
-    order = np.argsort(which, kind="stable")
-    bounds = np.searchsorted(which[order], np.arange(len(edges)))
-    table = np.full((4, len(edges) - 1), np.nan)
-    for k, (start, stop) in enumerate(itertools.pairwise(bounds.tolist())):
-        if stop - start >= least:
-            part = order[start:stop]
-            table[:, k] = np.median(x[part]), *np.percentile(y[part], (50, 16, 84))
-    return Bins(table[0], table[1], table[2], table[3], np.diff(bounds))
+    (low, middle, high), number = group_quantiles(y, which, len(edges) - 1, (0.16, 0.5, 0.84))
+    (centre,), _ = group_quantiles(x, which, len(edges) - 1, (0.5,))
+    thin = number < least
+    for column in (centre, middle, low, high):
+        column[thin] = np.nan
+    return Bins(centre, middle, low, high, number)
 
 
 def _edges(x: FloatArray, bins: int) -> FloatArray:
@@ -398,16 +416,10 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
     cells = 24
     cell = size / cells
     column, row = np.floor((x[good] - low[0]) / cell).astype(np.int64), np.floor((y[good] - low[1]) / cell).astype(np.int64)
-    code = row * 1000 + column
-    order = np.argsort(code, kind="stable")
-    _, start, number = np.unique(code[order], return_index=True, return_counts=True)
     least = int(np.clip(n / 1000, 3, 10)) if n > 300 else 1
-    arrows = []
-    columns = [v[good][order] for v in (x, y, r.east_before_m, r.north_before_m, r.east_after_m, r.north_after_m)]
-    for s, k in zip(start, number, strict=True):
-        if k >= least:
-            arrows.append([np.median(c[s : s + k]) for c in columns])
-    arrow = np.array(arrows, np.float64).reshape(-1, 6)
+    _, which, number = np.unique(row * 1000 + column, return_inverse=True, return_counts=True)
+    columns = (x, y, r.east_before_m, r.north_before_m, r.east_after_m, r.north_after_m)
+    arrow = np.stack([group_quantiles(v[good], which, len(number), (0.5,))[0][0] for v in columns], axis=1)[number >= least]
     if not len(arrow):
         return None
     length = np.hypot(arrow[:, 2], arrow[:, 3])
@@ -706,11 +718,9 @@ def target_figure(r: Residuals, name: str, labels: dict[int, str]) -> Drawing | 
     shown = [*quantities(r), *_distance(r)]
     if not shown:
         return None
-    order = np.argsort(r.target, kind="stable")
-    targets, start = np.unique(r.target[order], return_index=True)
-    groups = np.split(order, start[1:])
-    rank = np.argsort([_quartiles(r.distance_before_m[g])[1] for g in groups], kind="stable")
+    targets, which = np.unique(r.target, return_inverse=True)
     n = len(targets)
+    rank = np.argsort(group_quantiles(r.distance_before_m, which, n, (0.5,))[0][0], kind="stable")
     named = n <= 48
     at = np.arange(n, dtype=np.float64)
     with _style(name):
@@ -722,7 +732,7 @@ def target_figure(r: Residuals, name: str, labels: dict[int, str]) -> Drawing | 
         for (axes,), quantity in zip(grid, shown, strict=True):
             ends = []
             for values, dark, shift in ((quantity.before, BEFORE, -0.16), (quantity.after, AFTER, 0.16)):
-                low, middle, high = np.array([_quartiles(values[groups[k]]) for k in rank]).T
+                low, middle, high = group_quantiles(values, which, n, (0.25, 0.5, 0.75))[0][:, rank]
                 ends += [low, high]
                 axes.vlines(
                     at + shift, low, high, color=dark, alpha=0.4, linewidth=float(np.clip(90 / n, 0.5, 3.0)), rasterized=n > 600
@@ -757,14 +767,6 @@ def target_figure(r: Residuals, name: str, labels: dict[int, str]) -> Drawing | 
         "after correction has an error of its own (transponder, reference, association)."
     )
     return Drawing(name, svg, caption, "Median errors of each target before and after correction")
-
-
-def _quartiles(values: FloatArray) -> tuple[float, float, float]:
-    known = values[np.isfinite(values)]
-    if not len(known):
-        return np.nan, np.nan, np.nan
-    low, middle, high = np.percentile(known, (25, 50, 75))
-    return float(low), float(middle), float(high)
 
 
 def histogram_figure(r: Residuals, name: str) -> Drawing | None:
