@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .._types import BoolArray, FloatArray, IntArray
+from .._types import FloatArray, IntArray
 
 
 class Decision(NamedTuple):
@@ -53,57 +53,40 @@ def assign(
     """The cheapest assignment of tracks to targets, with the choice to leave a track unassigned.
 
     `track`, `target`, `cost`, `weight` (p,) are candidate pairs (cost per plot, and how many plots it speaks for); a pair is
-    used only if its cost is under `unassigned`.  `start_s`, `end_s` (k,) are each track's span: two tracks with one target
-    may overlap by no more than `overlap_s`.  A track whose best target is taken is not pushed to a second one that is worse
-    by `margin` or more: it stays unassigned.  Connected components are solved one by one with
-    `scipy.optimize.linear_sum_assignment`; tracks of a target that follow each other are found in further rounds.
+    used only if its cost is under `unassigned`.  `start_s`, `end_s` (k,) are each track's span: two tracks of one target may
+    overlap by no more than `overlap_s`.  A track whose best target is taken is not pushed to another that is worse by
+    `margin` or more: it stays unassigned.
+
+    What is maximised is the sum of (unassigned - cost) weight, exactly: candidates fall into connected components, in which
+    tracks that all overlap are an assignment problem (`linear_sum_assignment`), and others a small integer program (`milp`):
+    first giving each target its best track and then looking for more would force the second best on the rest.
     """
-    tracks = len(start_s)
-    chosen = np.full(tracks, -1, np.int64)
-    chosen_cost = np.full(tracks, np.nan)
-    best = np.full(tracks, np.inf)
+    chosen = np.full(len(start_s), -1, np.int64)
+    chosen_cost = np.full(len(start_s), np.nan)
+    best = np.full(len(start_s), np.inf)
     np.minimum.at(best, track, cost)
-    allowed = (cost < unassigned) & (cost <= best[track] + margin)
-    rows = np.flatnonzero(allowed)
-    gain = (unassigned - cost) * weight
-    while len(rows):
-        picked = _one_to_one(track[rows], target[rows], gain[rows])
-        take = rows[picked]
+    rows = np.flatnonzero((cost < unassigned) & (cost <= best[track] + margin) & (weight > 0))
+    rows = rows[np.lexsort((target[rows], track[rows]))]
+    if len(rows):
+        take = rows[_best(track[rows], target[rows], (unassigned - cost[rows]) * weight[rows], start_s, end_s, overlap_s)]
         chosen[track[take]], chosen_cost[track[take]] = target[take], cost[take]
-        # Another track of a target that is now taken stays a candidate only where the two do not meet in time.
-        rows = rows[chosen[track[rows]] < 0]
-        rows = rows[~_meets(track[rows], target[rows], chosen, start_s, end_s, overlap_s)]
-    runner_up = np.full(tracks, np.inf)
+    runner_up = np.full(len(start_s), np.inf)
     other = target != chosen[track]
     np.minimum.at(runner_up, track[other], cost[other])
     return Decision(chosen, chosen_cost, np.where(np.isfinite(runner_up), runner_up, np.nan))
 
 
-def _meets(
-    track: IntArray, target: IntArray, chosen: IntArray, start_s: FloatArray, end_s: FloatArray, overlap_s: float
-) -> BoolArray:
-    """Whether each candidate pair (p,) shares time with a track that already has its target."""
-    taken = np.flatnonzero(chosen >= 0)
-    by = taken[np.argsort(chosen[taken], kind="stable")]
-    low, high = np.searchsorted(chosen[by], target, "left"), np.searchsorted(chosen[by], target, "right")
-    count = high - low
-    pair = np.repeat(np.arange(len(track)), count)
-    other = by[np.repeat(low, count) + np.arange(len(pair)) - np.repeat(np.cumsum(count) - count, count)]
-    shared = np.minimum(end_s[track[pair]], end_s[other]) - np.maximum(start_s[track[pair]], start_s[other])
-    out = np.zeros(len(track), bool)
-    out[pair[shared > overlap_s]] = True
-    return out
-
-
-def _one_to_one(track: IntArray, target: IntArray, gain: FloatArray) -> IntArray:
+def _best(
+    track: IntArray, target: IntArray, gain: FloatArray, start_s: FloatArray, end_s: FloatArray, overlap_s: float
+) -> IntArray:
     """The pairs (index into the arguments) of the assignment with the greatest total gain, all gains positive."""
-    from scipy.optimize import linear_sum_assignment
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    a, row = np.unique(track, return_inverse=True)
-    b, column = np.unique(target, return_inverse=True)
-    links = coo_array((np.ones(len(row)), (row, column + len(a))), shape=(len(a) + len(b),) * 2)
+    _, row = np.unique(track, return_inverse=True)
+    slot = _slots(track, target, start_s, end_s, overlap_s)
+    rows = int(row.max()) + 1
+    links = coo_array((np.ones(len(row)), (row, slot + rows)), shape=(rows + int(slot.max()) + 1,) * 2)
     _, label = connected_components(links, directed=False)
     part = label[row]
     by = np.argsort(part, kind="stable")
@@ -112,13 +95,56 @@ def _one_to_one(track: IntArray, target: IntArray, gain: FloatArray) -> IntArray
         if len(members) == 1:
             picked.append(members)
             continue
-        r, i = np.unique(row[members], return_inverse=True)
-        c, j = np.unique(column[members], return_inverse=True)
-        table = np.zeros((len(r), len(c)))
-        index = np.full(table.shape, -1, np.int64)
-        table[i, j], index[i, j] = gain[members], members
-        at = linear_sum_assignment(table, maximize=True)
-        # What the solver pairs with no gain stands for "unassigned".
-        found = index[at]
-        picked.append(found[found >= 0])
+        start, end = start_s[track[members]], end_s[track[members]]
+        together = np.minimum.reduce(end) - np.maximum.reduce(start) > overlap_s
+        solve = _all_at_once if together else _over_time
+        picked.append(members[solve(track[members], slot[members], gain[members], start, end, overlap_s)])
     return np.sort(np.concatenate(picked))
+
+
+def _slots(track: IntArray, target: IntArray, start_s: FloatArray, end_s: FloatArray, overlap_s: float) -> IntArray:
+    """A number (p,) for each target and stretch of time: candidates of one target in different slots never meet in time."""
+    start, end = start_s[track], end_s[track] - overlap_s
+    by = np.lexsort((start, target))
+    width = float(max(end_s.max(), start_s.max()) - min(start_s.min(), end.min())) + 1.0
+    low = float(min(start_s.min(), end.min()))
+    # Shifting each target by more than the whole span lets one running maximum serve them all.
+    begins, until = start[by] - low + target[by] * width, np.maximum.accumulate(end[by] - low + target[by] * width)
+    new = np.r_[True, (np.diff(target[by]) != 0) | (begins[1:] >= until[:-1])]
+    out = np.empty(len(track), np.int64)
+    out[by] = np.cumsum(new) - 1
+    return out
+
+
+def _all_at_once(
+    track: IntArray, slot: IntArray, gain: FloatArray, start: FloatArray, end: FloatArray, overlap_s: float
+) -> IntArray:
+    """One track a target: the assignment problem."""
+    from scipy.optimize import linear_sum_assignment
+
+    r, i = np.unique(track, return_inverse=True)
+    c, j = np.unique(slot, return_inverse=True)
+    table = np.zeros((len(r), len(c)))
+    index = np.full(table.shape, -1, np.int64)
+    table[i, j], index[i, j] = gain, np.arange(len(gain))
+    found = index[linear_sum_assignment(table, maximize=True)]
+    # What the solver pairs with no gain stands for "unassigned".
+    return found[found >= 0]
+
+
+def _over_time(
+    track: IntArray, slot: IntArray, gain: FloatArray, start: FloatArray, end: FloatArray, overlap_s: float
+) -> IntArray:
+    """One track a target at any time: an integer program over the candidates.
+
+    Intervals that pairwise overlap share a moment, and one of them begins then: a row for each beginning holds all conflicts.
+    """
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
+    n = len(gain)
+    of_track = np.unique(track)[:, None] == track[None, :]
+    long = end - start > overlap_s
+    begins = (slot[:, None] == slot[None, :]) & (start[None, :] <= start[:, None]) & (end[None, :] - start[:, None] > overlap_s)
+    rows = np.unique(np.concatenate([of_track, begins[long] & long[None, :]]), axis=0).astype(np.float64)
+    solved = milp(-gain, constraints=LinearConstraint(rows, -np.inf, 1.0), integrality=np.ones(n, np.int64), bounds=Bounds(0, 1))
+    return np.flatnonzero(np.asarray(solved.x) > 0.5)
