@@ -1,8 +1,9 @@
 """The report's figures: residuals before and after correction, as SVG to stand inside a page.
 
 Every function draws one figure from residuals of one sensor and returns a `Drawing`, or None where there is nothing to draw (no
-axis is ever empty).  Numbers are computed from all pairs; the points behind them are a fixed random choice of at most
-`MAX_POINTS`, drawn as pixels, so that a page stays small.  The same residuals give the same bytes.
+axis is ever empty).  Medians are computed from all the pairs given (of more than `MAX_PAIRS` a page gives a fixed random choice,
+and says so); the points behind them are a fixed random choice of `MAX_POINTS`, drawn as pixels, so that a page stays small.  The
+same residuals give the same bytes.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from ..calibration import Calibration
 
 MAX_POINTS = 4000
+MAX_PAIRS = 250_000
 MAX_TRACKS = 300
 WIDTH_IN = 9.6
 DEG = np.pi / 180.0
@@ -252,7 +254,7 @@ def _smaller(match: re.Match[str]) -> str:
     )
 
 
-def _some(n: int, most: int = MAX_POINTS) -> IntArray:
+def sample(n: int, most: int = MAX_POINTS) -> IntArray:
     """At most `most` of `n` rows, spread over all of them; always the same ones."""
     if n <= most:
         return np.arange(n)
@@ -356,7 +358,7 @@ def _count(n: int) -> str:
 
 def _sampled(n: int) -> str:
     return (
-        f" The points are a random choice of {_count(MAX_POINTS)} of the {_count(n)} plots; medians use all."
+        f" The points are a random choice of {_count(MAX_POINTS)} of {_count(n)} plots; medians use all of these."
         if n > MAX_POINTS
         else ""
     )
@@ -437,7 +439,7 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
         figure, ((left, right),) = _panels(1, 2, height + 0.95, top=0.5, bottom=0.45)
         names, which = np.unique(r.track[good] * 1_000_003 + r.target[good], return_inverse=True)
         drawn = np.zeros(len(r), np.bool_)
-        drawn[good] = np.isin(which, _some(len(names), MAX_TRACKS))
+        drawn[good] = np.isin(which, sample(len(names), MAX_TRACKS))
         line_x, line_y = _paths(r, drawn, x, y)
         key = _round_number(typical)
         for axes, title, colour, east, north in (
@@ -650,7 +652,7 @@ def residual_figure(r: Residuals, name: str) -> Drawing | None:
             outside += _outside(limits, quantity.before, quantity.after)
             for j, (label, x) in enumerate(against):
                 axes = grid[i][j]
-                some = _some(len(r))
+                some = sample(len(r))
                 for values, light in ((quantity.before, BEFORE_LIGHT), (quantity.after, AFTER_LIGHT)):
                     _points(axes, x[some], values[some], light, size=1.8 if len(r) > 400 else 3.0)
                 axes.axhline(0, color=INK, linewidth=0.7, zorder=2.5)
@@ -711,7 +713,7 @@ def _span(x: FloatArray, label: str) -> tuple[float, float]:
     return low - (margin if low else 0.0), high + margin
 
 
-def target_figure(r: Residuals, name: str, labels: dict[int, str]) -> Drawing | None:
+def target_figure(r: Residuals, name: str) -> Drawing | None:
     """Every target's median error in each channel and in horizontal distance, before and after correction."""
     if not len(r):
         return None
@@ -724,7 +726,7 @@ def target_figure(r: Residuals, name: str, labels: dict[int, str]) -> Drawing | 
     named = n <= 48
     at = np.arange(n, dtype=np.float64)
     with _style(name):
-        words = [labels.get(int(targets[k]), str(targets[k])) for k in rank] if named else []
+        words = [str(targets[k]) for k in rank] if named else []
         bottom = 0.46 + (0.055 * max(map(len, words)) if n > 8 and named else 0.0)
         figure, grid = _panels(
             len(shown), 1, 0.45 + bottom + 1.25 * len(shown) + 0.14 * (len(shown) - 1), gap=(0.0, 0.14), top=0.45, bottom=bottom

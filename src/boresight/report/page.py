@@ -446,14 +446,14 @@ def _section(
 ) -> dict[str, Any]:
     """Everything that the template needs of one sensor."""
     slug = f"sensor-{summary.sensor}"
-    labels: dict[int, str] = {}
+    chosen = r.take(draw.sample(len(r), draw.MAX_PAIRS)) if len(r) > draw.MAX_PAIRS else r
     makers: list[Callable[[str], draw.Drawing | None]] = [
-        partial(draw.map_figure, r),
-        partial(draw.zoom_figure, r),
-        partial(draw.curve_figure, r),
-        partial(draw.residual_figure, r),
-        partial(draw.target_figure, r, labels=labels),
-        partial(draw.histogram_figure, r),
+        partial(draw.map_figure, chosen),
+        partial(draw.zoom_figure, r),  # a track must be whole
+        partial(draw.curve_figure, chosen),
+        partial(draw.residual_figure, chosen),
+        partial(draw.target_figure, chosen),
+        partial(draw.histogram_figure, chosen),
     ]
     kinds = ("map", "tracks", "curve", "residuals", "targets", "histograms")
     shown = [drawn.add(maker(f"{slug}-{kind}")) for kind, maker in zip(kinds, makers, strict=True)]
@@ -492,4 +492,5 @@ def _section(
         "missed": [(name, number(value, 3, sign=True)) for name, value in truth.items() if name not in have and value != 0],
         "not_determined": [n for n in calibration.not_determined if n.sensor == summary.sensor],
         "figures": [f for f in shown if f is not None],
+        "chosen": len(chosen) if len(chosen) < len(r) else 0,
     }
