@@ -433,6 +433,7 @@ _AGREEMENT = 10.0
 # No target pulls much more than this (variance per axis, m^2/s^4): it steadies short windows at the ends of a segment.
 _PULL2 = 25.0
 _SPIKE = 100.0
+_ROUNDS = 2
 # Reported velocities are worth using below this sd; neighbouring ones share their errors, hence the factor on the variance.
 _WORTH_MPS = 4.0
 _SHARED = 2.0
@@ -500,7 +501,7 @@ class States(NamedTuple):
     valid: BoolArray
 
 
-def trajectories(fixes: Fixes, *, method: str = "cubic", max_gap_s: float | None = None) -> Trajectories:
+def trajectories(fixes: Fixes, *, method: str = "smooth", max_gap_s: float | None = None) -> Trajectories:
     """Sort, clean and fit the fixes of each target, for `states`.
 
     `fixes` are geodetic with heights (as `locate` makes them); others are counted as unusable.  Equal stamps are averaged;
@@ -510,7 +511,9 @@ def trajectories(fixes: Fixes, *, method: str = "cubic", max_gap_s: float | None
     Velocity and acceleration come from quadratics fitted over windows of 2 to 16 s on either side, for each fix the widest that
     agrees with the narrower ones (intersection of confidence intervals), with the reported velocity where that is good.
     `method` says how the position is taken between two fixes: `nearest`, `linear`, `cubic` (through the fixes, with the fitted
-    velocities) or `smooth` (the fitted quadratics instead of the fixes).
+    velocities) or `smooth` (the same, through the fitted positions).  The default, `smooth`, has 2.5 times less error than
+    `cubic` where noise is white (3 m at 1 Hz), is never worse in the tests, and leaves less scatter of a real surface radar
+    against both multilateration and ADS-B.
 
     Raises SettingsError for an unknown method or a gap that is not positive, InputError where the positions are still Cartesian.
     """
@@ -529,8 +532,7 @@ def trajectories(fixes: Fixes, *, method: str = "cubic", max_gap_s: float | None
     row = np.flatnonzero(usable)
     position = ecef_from_geodetic(fixes.latitude_rad[row], fixes.longitude_rad[row], fixes.height_m[row])
     sd = np.where(fixes.horizontal_sd_m[row] > 0, fixes.horizontal_sd_m[row], _OTHER_SD_M)
-    lane_key, lane = np.unique(np.stack([target[row], fixes.source[row].astype(np.int64)], axis=1), axis=0, return_inverse=True)
-    lane = lane.reshape(-1)
+    lane_key, lane = np.unique(target[row] << 32 | fixes.source[row].astype(np.int64) & 0xFFFFFFFF, return_inverse=True)
     order = np.lexsort((row, sd, fixes.time_s[row], lane))
     row, position, sd, lane = row[order], position[order], sd[order], lane[order]
     time = fixes.time_s[row]
@@ -544,7 +546,7 @@ def trajectories(fixes: Fixes, *, method: str = "cubic", max_gap_s: float | None
     row, position, sd, lane, time = row[keep], position[keep], sd[keep], lane[keep], time[keep]
 
     spikes = 0
-    while True:
+    for attempt in range(_ROUNDS + 1):
         k = len(row)
         lane_start = np.searchsorted(lane, np.arange(len(lane_key) + 1)).astype(np.int64)
         update = _median_update(lane_start, time)
@@ -553,10 +555,10 @@ def trajectories(fixes: Fixes, *, method: str = "cubic", max_gap_s: float | None
         new = np.r_[True, (np.diff(lane) != 0) | (np.diff(time) > gap[lane[1:]])] if k else np.empty(0, bool)
         segment = np.cumsum(new).astype(np.int64) - 1
         fitted = _fit_all(fixes, row, lane, lane_start, segment, time, position, sd)
-        spike = fitted.miss2 > _SPIKE if not spikes else np.zeros(k, bool)
-        if not spike.any():
+        spike = _lone_spikes(segment, fitted.miss2)
+        if not spike.any() or attempt == _ROUNDS:
             break
-        spikes = int(spike.sum())
+        spikes += int(spike.sum())
         row, position, sd, lane, time = row[~spike], position[~spike], sd[~spike], lane[~spike], time[~spike]
 
     said: list[str] = []
@@ -566,7 +568,7 @@ def trajectories(fixes: Fixes, *, method: str = "cubic", max_gap_s: float | None
         said.append(
             f"{jumps + spikes:,} of {len(fixes):,} reference positions are outliers (impossible jumps or lone spikes): not used"
         )
-    first_lane = np.searchsorted(lane_key[:, 0], np.arange(int(target.max(initial=-1)) + 2)).astype(np.int64)
+    first_lane = np.searchsorted(lane_key >> 32, np.arange(int(target.max(initial=-1)) + 2)).astype(np.int64)
     vertical = np.where(fixes.vertical_sd_m[row] > 0, fixes.vertical_sd_m[row], sd)
     variance = np.stack([sd**2, vertical**2], axis=1)
     white = fitted.scale * variance
@@ -617,6 +619,17 @@ def _resolve_equal_stamps(lane: IntArray, time: FloatArray, position: FloatArray
     out = position.copy()
     out[start] += shift
     return out, first
+
+
+def _lone_spikes(segment: IntArray, miss2: FloatArray) -> BoolArray:
+    """Rows that their neighbours' fit misses by ten sd, and by more than it misses the two rows on either side of them."""
+    out = miss2 > _SPIKE
+    for reach in (1, 2):
+        if len(segment) > reach:
+            together = segment[reach:] == segment[:-reach]
+            out[reach:] &= ~together | (miss2[reach:] > miss2[:-reach])
+            out[:-reach] &= ~together | (miss2[:-reach] > miss2[reach:])
+    return out
 
 
 def _possible(lane: IntArray, time: FloatArray, position: FloatArray, sd: FloatArray, on_ground: BoolArray) -> BoolArray:
@@ -712,12 +725,14 @@ def _fit_all(
     local = time - (time.min() if k else 0.0)
     weight = 1 / sd**2
     no_velocity, no_weight = np.zeros((k, 3)), np.zeros(k)
-    unit = np.ones(k)
 
-    # The noise that neighbours do not share shows in the narrowest windows, whatever a fix says of its accuracy.
+    # The noise that neighbours do not share shows in the narrowest windows, whatever a fix says of its accuracy.  A scale of 0
+    # leaves out what is assumed of accelerations, which would hide some of it.
     narrow, fewest = np.array(_LADDER_S[1:2]), np.array([5], np.int64)
     vertical = np.where(fixes.vertical_sd_m[row] > 0, fixes.vertical_sd_m[row], sd)
-    found = _fit(local, position, weight, no_velocity, no_weight, up, low, high, unit, narrow, fewest, _AGREEMENT, _MOST_POINTS)
+    found = _fit(
+        local, position, weight, no_velocity, no_weight, up, low, high, no_weight, narrow, fewest, _AGREEMENT, _MOST_POINTS
+    )
     leverage = np.minimum(found[4] * weight, 1.0)
     free = leverage < 0.95
     miss = found[0] - position
@@ -792,11 +807,13 @@ def _reported(
     difference2 = (east - local[:, 0]) ** 2 + (north - local[:, 1]) ** 2
     source = fixes.source[row]
     for key in np.unique(source[there]).tolist():
-        mine = there & (source == key) & np.isfinite(fitted_var)
-        if mine.sum() < 20:
+        mine = there & (source == key)
+        # Parked targets would say that any velocity is perfect.
+        moving = mine & np.isfinite(fitted_var) & (np.hypot(local[:, 0], local[:, 1]) > _COURSE_MPS)
+        if moving.sum() < 20:
             continue
         # The median, since the tails are mostly those of positions (stamps that jitter).  2 ln 2: that of chi-square, 2 dof.
-        sd2 = max(float(np.median(difference2[mine])) / (2 * np.log(2)) - float(np.median(fitted_var[mine])), 0.15**2)
+        sd2 = max(float(np.median(difference2[moving])) / (2 * np.log(2)) - float(np.median(fitted_var[moving])), 0.15**2)
         if sd2 <= _WORTH_MPS**2:
             weight[mine & (difference2 <= _WILD_MPS**2)] = 1 / (_SHARED * sd2)
     flat = np.stack(
@@ -830,18 +847,17 @@ def _fit(
     velocity, acceleration (k, 3) and the unscaled variances of velocity and position (k,).
     """
     k = len(time)
-    p_out, v_out, a_out = np.empty((k, 3)), np.full((k, 3), np.nan), np.full((k, 3), np.nan)
+    p_out, v_out, a_out = position.copy(), np.full((k, 3), np.nan), np.full((k, 3), np.nan)
     vv_out, pv_out = np.full(k, np.nan), np.empty(k)
     levels = len(ladder)
     seen_p, seen_v, seen_a = np.empty((levels, 3)), np.empty((levels, 3)), np.empty((levels, 3))
     seen_vv, seen_pv = np.empty(levels), np.empty(levels)
-    c = np.empty((3, 3))
+    c, m = np.empty((3, 3)), np.empty((3, 3))
     for i in range(k):
-        p_out[i] = position[i]
         pv_out[i] = 1.0 / weight[i]
         s0 = s1 = s2 = s3 = s4 = 0.0
         g0 = g1 = g2 = 0.0
-        m = np.zeros((3, 3))
+        m[:] = 0.0
         j_low, j_high = i, i
         count, speeds, seen, last = 0, 0, 0, -1
         begin, end, alone = i, i + 1, False
@@ -960,7 +976,8 @@ def _fit(
             if agrees:
                 # One velocity alone tells no acceleration: the next window does.
                 bent = level + 1 if level == 0 and alone and seen > 1 else level
-                p_out[i], v_out[i], a_out[i] = seen_p[level], seen_v[level], seen_a[bent]
+                for d in range(3):
+                    p_out[i, d], v_out[i, d], a_out[i, d] = seen_p[level, d], seen_v[level, d], seen_a[bent, d]
                 vv_out[i], pv_out[i] = seen_vv[level], seen_pv[level]
                 break
     return p_out, v_out, a_out, vv_out, pv_out
@@ -1028,8 +1045,14 @@ def _states(
             if end - begin < 2:
                 continue
             t = time[q]
-            i = begin + np.searchsorted(knot[begin:end], t, side="right") - 1
-            i = min(max(i, begin), end - 2)
+            # The last row that is not later than t, by halving (clipped so that there is a next one).
+            i, above = begin, end - 1
+            while above - i > 1:
+                middle = (i + above) // 2
+                if knot[middle] <= t:
+                    i = middle
+                else:
+                    above = middle
             j = i + 1
             half = 0.5 * update[lane]
             if segment[i] != segment[j] or t < knot[i] or t > knot[j]:
@@ -1091,8 +1114,10 @@ def _states(
             valid[q] = True
             for d in range(3):
                 p_out[q, d], v_out[q, d], a_out[q, d] = p[d], v[d], a[d]
-                for e in range(3):
-                    c_out[q, d, e] = (ver - hor) * up[near, d] * up[near, e] + stamped * v[d] * v[e] + bend * bend * a[d] * a[e]
+                for e in range(d + 1):
+                    both = (ver - hor) * (up[near, d] * up[near, e]) + stamped * (v[d] * v[e]) + bend * bend * (a[d] * a[e])
+                    c_out[q, d, e] = both
+                    c_out[q, e, d] = both
                 c_out[q, d, d] += hor
             hi, hj = carried[i], carried[j]
             if np.isfinite(hi) and np.isfinite(hj):
