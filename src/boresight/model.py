@@ -257,6 +257,60 @@ class Fixes(_Table):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Tracks(_Table):
+    """States of tracked targets, one row an update: what a tracker says, not what a sensor measured.
+
+    `source` is the system that tracks, `track` its number for the target.  Positions are geodetic (WGS-84), velocities local; the sd are
+    per axis.  `age_s` is the time since the last measurement that went in.
+    """
+
+    time_s: FloatArray = _float()
+    source: AnyArray = _column(np.int32)
+    track: AnyArray = _column(np.int32)
+    latitude_rad: FloatArray = _float()
+    longitude_rad: FloatArray = _float()
+    height_m: FloatArray = _float()
+    pressure_altitude_m: FloatArray = _float()
+    velocity_east_mps: FloatArray = _float()
+    velocity_north_mps: FloatArray = _float()
+    velocity_up_mps: FloatArray = _float()
+    acceleration_east_mps2: FloatArray = _float()
+    acceleration_north_mps2: FloatArray = _float()
+    mode_s: AnyArray = _column(np.int32)
+    mode_3a: AnyArray = _column(np.int16)
+    callsign: IntArray = _column(np.int64)
+    mmsi: AnyArray = _column(np.int32)
+    length_m: FloatArray = _float()
+    width_m: FloatArray = _float()
+    heading_rad: FloatArray = _float()
+    horizontal_sd_m: FloatArray = _float()
+    vertical_sd_m: FloatArray = _float()
+    age_s: FloatArray = _float()
+    flags: AnyArray = _column(np.uint32)
+    record: IntArray = _column(np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Platform(_Table):
+    """Where a moving radar's platform was, one row a report: own ship.
+
+    The position is the platform's reference point; `heading_rad` is true, `roll_rad` positive to starboard, `pitch_rad` bow up.
+    """
+
+    time_s: FloatArray = _float()
+    sensor: AnyArray = _column(np.int32)
+    latitude_rad: FloatArray = _float()
+    longitude_rad: FloatArray = _float()
+    height_m: FloatArray = _float()
+    heading_rad: FloatArray = _float()
+    roll_rad: FloatArray = _float()
+    pitch_rad: FloatArray = _float()
+    speed_mps: FloatArray = _float()
+    course_rad: FloatArray = _float()
+    record: IntArray = _column(np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Pairs(_Table):
     """Plots with the reference at each plot's own stamp.
 
@@ -323,6 +377,8 @@ class Recording:
     warnings: tuple[str, ...]
     by_category: dict[int, int]
     offset: IntArray
+    tracks: Tracks = field(default_factory=Tracks)
+    platform: Platform = field(default_factory=Platform)
 
     @property
     def records(self) -> int:
