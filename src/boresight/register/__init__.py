@@ -245,7 +245,7 @@ def _cross(one: _Found, two: _Found) -> FloatArray:
     size = np.maximum(np.diag(matrix), 1e-300)
     share = np.minimum(nnls(matrix / size[:, None], products / size)[0], 1.0)
     shared = share * limit
-    left = a.model_covariance @ np.swapaxes(a.influence[i][:, ka], 1, 2)
-    right = b.influence[j][:, kb] @ b.model_covariance
+    left = a.bread @ np.swapaxes(a.influence[i][:, ka], 1, 2)
+    right = b.influence[j][:, kb] @ b.bread
     cross: FloatArray = np.einsum("gpk,k,gkq->pq", left, shared, right)
     return cross

@@ -42,7 +42,8 @@ class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     A pair keeps its full weight up to `soft_sd` standard deviations and has none beyond `hard_sd`.  Two terms whose estimates
     correlate by `max_correlation` or more cannot be told apart; nor can a term of whose column less than `rank_tolerance` remains
     once the others are taken out.  `short_block_s` and `long_block_s` are the times over which slowly wandering errors are
-    taken as constant (0: by the kind of sensor).
+    taken as constant (0: by the kind of sensor).  Where weighting by what a target's plots share changes the result by more than
+    chance, at the probability `agreement`, the plots are weighted each for itself.
     """
 
     soft_sd: float = 3.0
@@ -51,6 +52,7 @@ class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     rank_tolerance: float = 1e-2
     short_block_s: float = 0.0
     long_block_s: float = 0.0
+    agreement: float = 0.005
     max_iterations: int = 40
 
 
@@ -63,6 +65,7 @@ def check_settings(settings: LeastSquares) -> None:
         ("rank_tolerance", 0 < settings.rank_tolerance < 1, "Give a share within 0 … 1."),
         ("short_block_s", settings.short_block_s >= 0, "Give seconds, or 0 for the default."),
         ("long_block_s", settings.long_block_s >= 0, "Give seconds, or 0 for the default."),
+        ("agreement", 0 <= settings.agreement <= 1, "Give a probability within 0 … 1."),
         ("max_iterations", settings.max_iterations >= 1, "Give at least 1."),
     ):
         if not ok:
@@ -141,16 +144,19 @@ class Dropped(NamedTuple):
 class Fit(NamedTuple):
     """One sensor's solution, SI.
 
-    `value` (p,), `covariance` (p, p) and the model's own `model_covariance`; `noise_sd` (3,), NaN where not measured; `weight`
-    (n,) of each pair; `effective` the effective number of targets; `effect_names`, `effect_variance` (w,) and `scores` (G, w)
-    with `information` (G, w, w) and `influence` (G, w, p) of what the sensors share in one target; `held_out` (G, p) the value
-    found without the fold of each target; `reduced` (G, p + 1, p + 1) the targets' normal equations, in units of the prior sd.
+    `value` (p,) and its `covariance` (p, p); what the covariance was made of: the model's own `model_covariance`, the clustered
+    `sandwich`, and `bread`, the inverse of the information.  `noise_sd` (3,), NaN where not measured; `weight` (n,) of each
+    pair; `effective` the effective number of targets.  What the sensors share in one target: `effect_names`, `effect_variance`
+    (w,), `scores` (G, w) with `information` (G, w, w), and `influence` (G, w, p) on the normal equations.  `held_out` (G, p) is
+    the value found without the fold of each target.
     """
 
     terms: tuple[Term, ...]
     value: FloatArray
     covariance: FloatArray
     model_covariance: FloatArray
+    sandwich: FloatArray
+    bread: FloatArray
     noise_sd: FloatArray
     weight: FloatArray
     effective: float
@@ -160,7 +166,6 @@ class Fit(NamedTuple):
     information: FloatArray
     influence: FloatArray
     held_out: FloatArray
-    reduced: FloatArray
     dropped: tuple[Dropped, ...]
     notes: tuple[str, ...]
 
@@ -226,7 +231,7 @@ def fit(seen: Observed, terms: Sequence[Term], settings: LeastSquares) -> Fit:
         if not chosen:
             raise NothingToDo(f"sensor {seen.sensor.name!r}: no error can be determined: {bad.why}")
         start = _robust_start(seen, layout, kind, chosen, settings)
-    return _finish(seen, layout, chosen, state, reduced, weight, dropped, settings)
+    return _finish(seen, layout, chosen, start, state, reduced, weight, dropped, settings)
 
 
 def _kind(seen: Observed) -> _Kind:
@@ -404,12 +409,18 @@ def _products(
     settings: LeastSquares,
     targets: IntArray,
     weight_out: FloatArray | None = None,
+    *,
+    plain: mixed.Variances | None = None,
 ) -> mixed.Products:
-    """The cross products of the given targets (sorted), at the state's value and with its weights."""
+    """The cross products of the given targets (sorted), at the state's value and with its weights.
+
+    With `plain`, the true variances, each plot is weighted by what the state says that it varies by, its effects included, and
+    the columns Y follow (`mixed.plain_scores`).
+    """
     p, c = len(terms), layout.channels
     prior_sd = np.array([t.prior_sd for t in terms])
     widths = [len(level) for level in layout.effects]
-    width = sum(widths) + p + 1
+    width = sum(widths) + p + 1 + (0 if plain is None else p)
     blocks = np.concatenate([np.arange(layout.target_block[g], layout.target_block[g + 1]) for g in targets])
     out = np.zeros((c, len(blocks), width, width))
     count = np.zeros(c)
@@ -418,8 +429,7 @@ def _products(
     piece = np.cumsum(size) // (1 << 14)
     edges = np.r_[np.flatnonzero(np.r_[True, np.diff(piece) != 0]), len(blocks)]
     for lo, hi in pairwise(edges.tolist()):
-        own = blocks[lo:hi]
-        rows = np.concatenate([np.arange(layout.block[b], layout.block[b + 1]) for b in own])
+        rows = np.concatenate([np.arange(layout.block[b], layout.block[b + 1]) for b in blocks[lo:hi]])
         place, r, x = linearise(seen, rows, terms, state.value)
         z = _effect_columns(layout, place)
         total = _row_variance(seen, rows, z, layout, state.variances, state.reference_share)
@@ -429,10 +439,17 @@ def _products(
         count += robust.sum(axis=0)
         if weight_out is not None:
             weight_out[rows] = robust[:, 0]
-        noise = state.variances.noise[:c]
-        w = robust * noise / (noise / seen.weight[rows, None] + state.reference_share * seen.reference_variance[rows, :c])
+        noise = (state.variances if plain is None else plain).noise[:c]
+        own = noise / seen.weight[rows, None] + state.reference_share * seen.reference_variance[rows, :c]
         trust = np.sqrt(state.trust[seen.cluster[rows]])
         m = np.concatenate([*z, x * prior_sd * trust[:, None, None], (r * trust[:, None])[:, :, None]], axis=2)
+        if plain is not None:
+            w = robust / total
+            y = np.zeros((len(rows), 3, p))
+            y[:, :c] = x[:, :c] * prior_sd * np.sqrt(w * own)[:, :, None]
+            m = np.concatenate([m, y], axis=2)
+        else:
+            w = robust * noise / own
         root = np.sqrt(w)
         ends = np.cumsum(size[lo:hi])
         for k in range(c):
@@ -459,16 +476,20 @@ def _products(
     return mixed.Products(out, np.maximum(count, 1e-9), levels, p)
 
 
+def _batches(layout: _Layout) -> list[tuple[int, int]]:
+    """Ranges of targets that hold about `_BATCH_BLOCKS` short blocks each."""
+    batch = layout.target_block[:-1] // _BATCH_BLOCKS
+    edges = np.r_[np.flatnonzero(np.r_[True, np.diff(batch) != 0]), len(layout.target)]
+    return list(pairwise(edges.tolist()))
+
+
 def _all_reduced(
     seen: Observed, layout: _Layout, terms: tuple[Term, ...], state: _State, settings: LeastSquares, weight: FloatArray
 ) -> mixed.Reduced:
     """Every target, reduced, in batches that bound the memory."""
-    g = len(layout.target)
-    batch = layout.target_block[:-1] // _BATCH_BLOCKS
-    edges = np.r_[np.flatnonzero(np.r_[True, np.diff(batch) != 0]), g]
     parts = [
         mixed.reduce(_products(seen, layout, terms, state, settings, np.arange(lo, hi), weight), state.variances)
-        for lo, hi in pairwise(edges.tolist())
+        for lo, hi in _batches(layout)
     ]
     return mixed.Reduced(np.concatenate([q.terms for q in parts]), np.concatenate([q.effects for q in parts]))
 
@@ -488,6 +509,7 @@ def _iterate(
         subset = np.arange(0, g, int(np.ceil(total_blocks / _VARIANCE_BLOCKS)))
     for number in range(6):
         at = state.value / prior_sd
+        state = replace(state, spread=_spread(seen, layout, terms, state, start.spread))
         products = _products(seen, layout, terms, state, settings, subset)
         variances = mixed.estimate(products, state.variances, prior, at, guess, steps=60 if number == 0 else 25)
         reduced = (
@@ -500,13 +522,31 @@ def _iterate(
             state.value + solution.value * prior_sd,
             variances,
             state.reference_share,
-            np.clip(state.spread, 0.7, 1.4) if number == 0 else np.ones(c),
+            state.spread,
             _trust(reduced, solution, state.trust, settings),
         )
         if number >= 2 and np.all(np.abs(solution.value) <= 0.02 * np.sqrt(np.diag(solution.covariance))):
             break
     weight = np.empty(len(seen))
     return state, _all_reduced(seen, layout, terms, state, settings, weight), weight
+
+
+def _spread(seen: Observed, layout: _Layout, terms: tuple[Term, ...], state: _State, otherwise: FloatArray) -> FloatArray:
+    """The median size of each channel's residuals, in units of what the model expects of one plot (1 if it were normal).
+
+    Whole segments of a target can be wrong (multilateration near a hangar).  They widen the variance components, and would
+    then look ordinary; the median does not follow them.
+    """
+    n, c = len(seen), layout.channels
+    rows = np.arange(n) if n <= _START_PLOTS else np.arange(0, n, n // _START_PLOTS)
+    sizes = []
+    for part in chunks(len(rows)):
+        place, r, _ = linearise(seen, rows[part], terms, state.value)
+        total = _row_variance(seen, rows[part], _effect_columns(layout, place), layout, state.variances, state.reference_share)
+        sizes.append(np.abs(r[:, :c]) / np.sqrt(total))
+    size = np.concatenate(sizes)
+    out = np.array([1.4826 * np.median(s[np.isfinite(s)]) if np.isfinite(s).any() else 1.0 for s in size.T])
+    return np.clip(out, 0.25, 2.0)
 
 
 def _trust(reduced: mixed.Reduced, solution: mixed.Solution, old: FloatArray, settings: LeastSquares) -> FloatArray:
@@ -526,7 +566,7 @@ def _trust(reduced: mixed.Reduced, solution: mixed.Solution, old: FloatArray, se
     square = np.einsum("gi,gij,gj->g", score, inverse, score) / np.maximum(old, 1e-12)
     # Chi-squared to normal (Wilson and Hilferty 1931).
     normal = ((square / rank) ** (1 / 3) - (1 - 2 / (9 * rank))) / np.sqrt(2 / (9 * rank))
-    return np.maximum(_robust(np.maximum(normal, 0.0), settings), 1e-6)
+    return np.asarray(np.maximum(_robust(np.maximum(normal, 0.0), settings), 1e-6))
 
 
 def _rank_deficient(
@@ -636,6 +676,7 @@ def _finish(
     seen: Observed,
     layout: _Layout,
     terms: tuple[Term, ...],
+    start: _State,
     state: _State,
     reduced: mixed.Reduced,
     weight: FloatArray,
@@ -644,40 +685,92 @@ def _finish(
 ) -> Fit:
     p, c = len(terms), layout.channels
     prior, prior_sd = np.ones(p), np.array([t.prior_sd for t in terms])
-    at = state.value / prior_sd
-    solution = mixed.solve(reduced.terms, prior, at)
-    covariance, effective = mixed.honest_covariance(reduced.terms, solution)
-    held_out = _held_out(reduced.terms, solution, at, layout)
     w = reduced.effects.shape[1]
+    notes = []
+    at = state.value / prior_sd
+    step = mixed.solve(reduced.terms, prior, at).value
+    scores = mixed.Scores(reduced.terms, reduced.terms[:, :p, :p])
+    honest = mixed.honest_covariance(scores, prior, step)
+    influence = reduced.effects[:, :, w : w + p]
+    trusted = state.trust
+
+    plain_weight = np.empty(len(seen))
+    plain, plain_influence = _plain(seen, layout, terms, start, state.variances, settings, plain_weight)
+    plain_at = start.value / prior_sd
+    plain_step = mixed.solve(plain.terms, prior, plain_at).value
+    plain_honest = mixed.honest_covariance(plain, prior, plain_step)
+    chance = _agreement((plain_at + plain_step) - (at + step), plain_honest, honest)
+    if chance < settings.agreement:
+        notes.append(
+            "the errors that plots of one target share are not as the model has them (weighting by them changes the result by more "
+            f"than chance, p = {chance:.1g}): every plot counts for itself, and the sd follow the targets' scatter"
+        )
+        scores, honest, influence, at, step, weight = plain, plain_honest, plain_influence, plain_at, plain_step, plain_weight
+        trusted = start.trust
     scale = np.outer(prior_sd, prior_sd)
     noise = np.full(3, np.nan)
     noise[:c] = np.sqrt(state.variances.noise)
-    notes = []
     gone = int((weight == 0).sum())
     if gone:
         share = f"{gone:,} of {len(seen):,} pairs ({100 * gone / len(seen):.1f} %)"
         notes.append(f"{share} lie more than {settings.hard_sd:g} sd away and have no weight")
-    doubted = int((state.trust < 0.5).sum())
+    doubted = int((trusted < 0.5).sum())
     if doubted:
         notes.append(f"{doubted} of {len(state.trust)} targets differ from all others and have little weight")
     return Fit(
         terms=terms,
-        value=state.value + solution.value * prior_sd,
-        covariance=covariance * scale,
-        model_covariance=solution.covariance * scale,
+        value=(at + step) * prior_sd,
+        covariance=honest.covariance * scale,
+        model_covariance=honest.model * scale,
+        sandwich=honest.sandwich * scale,
+        bread=honest.bread * scale,
         noise_sd=noise,
         weight=weight,
-        effective=effective,
+        effective=honest.targets,
         effect_names=tuple(e.term for e in layout.effects[-1]),
         effect_variance=state.variances.effects[-1][layout.groups[-1]],
-        scores=reduced.effects[:, :, w + p] - reduced.effects[:, :, w : w + p] @ solution.value,
+        scores=reduced.effects[:, :, w + p] - reduced.effects[:, :, w : w + p] @ mixed.solve(reduced.terms, prior, at).value,
         information=reduced.effects[:, :, :w],
-        influence=reduced.effects[:, :, w : w + p] / prior_sd,
-        held_out=state.value + held_out * prior_sd,
-        reduced=reduced.terms,
+        influence=influence / prior_sd,
+        held_out=(at + _held_out(scores.terms, at, layout)) * prior_sd,
         dropped=tuple(dropped),
         notes=tuple(notes),
     )
+
+
+def _plain(
+    seen: Observed,
+    layout: _Layout,
+    terms: tuple[Term, ...],
+    start: _State,
+    variances: mixed.Variances,
+    settings: LeastSquares,
+    weight: FloatArray,
+) -> tuple[mixed.Scores, FloatArray]:
+    """The scores (G targets) of least squares in which every plot counts for itself, at the robust start, and their influence."""
+    parts, influences = [], []
+    for lo, hi in _batches(layout):
+        products = _products(seen, layout, terms, start, settings, np.arange(lo, hi), weight, plain=variances)
+        parts.append(mixed.plain_scores(products, variances))
+        influences.append(mixed.influence(products))
+    return mixed.Scores(*(np.concatenate(q) for q in zip(*parts, strict=True))), np.concatenate(influences)
+
+
+def _agreement(difference: FloatArray, plain: mixed.Honest, weighted: mixed.Honest) -> float:
+    """The probability that two estimates differ so much by chance, where the model holds (Hausman 1978).
+
+    The efficient estimate is uncorrelated with its difference from any other, so the difference's covariance is that of the
+    covariances; small eigenvalues, where the two are all but equal, are bounded.
+    """
+    from scipy.special import fdtrc
+
+    p = len(difference)
+    root = np.linalg.cholesky(plain.model * plain.scale)
+    inner = np.linalg.solve(root, np.linalg.solve(root, weighted.model * weighted.scale).T)
+    size, axes = np.linalg.eigh(np.eye(p) - (inner + inner.T) / 2)
+    off = axes.T @ np.linalg.solve(root, difference)
+    square = float((off**2 / np.clip(size, 0.1, None)).sum())
+    return float(fdtrc(p, max(plain.targets - 1.0, 2.0), square / p))
 
 
 def folds(size: IntArray) -> IntArray:
@@ -687,11 +780,11 @@ def folds(size: IntArray) -> IntArray:
     return fold
 
 
-def _held_out(reduced: FloatArray, solution: mixed.Solution, at: FloatArray, layout: _Layout) -> FloatArray:
+def _held_out(reduced: FloatArray, at: FloatArray, layout: _Layout) -> FloatArray:
     """The step (G, p) found without the fold that each target is in; NaN where no target would be left."""
     target_rows = layout.block[layout.target_block]
     fold = folds(np.diff(target_rows))
-    out = np.full((len(reduced), len(solution.value)), np.nan)
+    out = np.full((len(reduced), len(at)), np.nan)
     if len(reduced) > 1:
         for k in range(_FOLDS):
             mine = fold == k

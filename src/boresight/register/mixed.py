@@ -222,45 +222,110 @@ def _improve(products: Products, variances: Variances, prior: FloatArray, at: Fl
     return Variances(noise, tuple(new_effects))
 
 
-def honest_covariance(reduced: FloatArray, solution: Solution) -> tuple[FloatArray, float]:
-    """The covariance (p, p) that the targets' scatter supports, and the effective number of targets.
+class Scores(NamedTuple):
+    """The targets' normal equations of any weighted least squares, and what the model expects of them.
 
-    The model's covariance has few parameters, so it is steady, but it trusts the model; the cluster sandwich trusts nothing, but
-    with 30 targets and 6 terms it is itself so uncertain that its NEES/dof is 1.5 where 1 is true (Hotelling).  So the
-    sandwich's meat, in coordinates in which the model expects the identity, is shrunk: its trace gives one scale, and its shape
-    is followed as far as it differs from a multiple of the identity by more than chance (Ledoit & Wolf).
+    `terms` (G, p + 1, p + 1) is ``[X r]' W [X r]``, `meat` (G, p, p) the model's covariance of ``X' W (r - X b)``.  Where the
+    weights are the inverse of the model's covariance, the meat is ``X' W X`` itself.
+    """
+
+    terms: FloatArray
+    meat: FloatArray
+
+
+def plain_scores(products: Products, variances: Variances) -> Scores:
+    """The scores of least squares with the plots' own weights, of products ``[Z0 | Z1 | Z2 | X | r | Y]``.
+
+    Y (p columns) is X times the root of (weight x noise variance), so that ``Y' W Y`` is what the noise adds to the meat.
+    """
+    p = products.terms
+    s = products.channel.sum(axis=0)
+    widths = [len(level.group) for level in products.levels]
+    x = slice(sum(widths), sum(widths) + p)
+    y = slice(x.stop + 1, x.stop + 1 + p)
+    total = s
+    meats: list[FloatArray] = [s[:, y, y]]
+    firsts: list[IntArray] = []
+    for number, level in enumerate(products.levels):
+        if number:
+            total = np.add.reduceat(total, level.first, axis=0)
+            firsts.append(level.first)
+        begin = sum(widths[:number])
+        cross = total[:, x, begin : begin + widths[number]]
+        spread = (cross * variances.effects[number][level.group]) @ np.swapaxes(cross, 1, 2)
+        if number:
+            meats = [np.add.reduceat(meat, level.first, axis=0) for meat in meats]
+        meats.append(spread)
+    xr = slice(x.start, x.stop + 1)
+    return Scores(total[:, xr, xr], np.asarray(sum(meats)))
+
+
+def influence(products: Products) -> FloatArray:
+    """``Z' W X`` (G, w, p) of the targets' own effects, of products as `plain_scores` takes them."""
+    total = products.channel.sum(axis=0)
+    for level in products.levels[1:]:
+        total = np.add.reduceat(total, level.first, axis=0)
+    widths = [len(level.group) for level in products.levels]
+    begin = sum(widths[:-1])
+    result: FloatArray = total[:, begin : begin + widths[-1], sum(widths) : sum(widths) + products.terms]
+    return result
+
+
+class Honest(NamedTuple):
+    """Covariances (p, p): what the model expects, and what the targets' scatter supports.
+
+    `bread` (p, p) is the inverse of the information, `scale` how much more the targets scatter than the model expects,
+    `targets` the effective number of targets, `sandwich` (p, p) the clustered covariance with its bias removed.
+    """
+
+    model: FloatArray
+    covariance: FloatArray
+    sandwich: FloatArray
+    bread: FloatArray
+    scale: float
+    targets: float
+
+
+def honest_covariance(scores: Scores, prior: FloatArray, step: FloatArray) -> Honest:
+    """The covariance of a weighted least squares that is true where the model is, and follows the targets where it is not.
+
+    The model's covariance has few parameters, so it is steady, but it trusts the model; the sandwich clustered by target trusts
+    nothing, but with 30 targets and 6 terms it is itself so uncertain that its NEES/dof is 1.5 where 1 is true (Hotelling).  So
+    the sandwich's meat, in coordinates in which the model expects the identity, is shrunk: its trace gives one scale, and its
+    shape is followed as far as it differs from a multiple of the identity by more than chance (Ledoit and Wolf 2004).
     `benchmarks/truthfulness.py` has the figures of all the candidates.
     """
-    score, share = _whitened_scores(reduced, solution)
-    p = len(solution.value)
-    weight = np.einsum("gii->g", share)
-    targets = float(weight.sum() ** 2 / max((weight**2).sum(), 1e-300))
-    meat = score.T @ score
-    scale = float(np.trace(meat) / max(weight.sum(), 1e-300))
-    # Few targets say little of the scale.
+    p = len(prior)
+    a = scores.terms[:, :p, :p]
+    bread = np.linalg.inv(a.sum(axis=0) + np.diag(prior))
+    bread = (bread + bread.T) / 2
+    meat = scores.meat.sum(axis=0) + np.diag(prior)
+    model = bread @ meat @ bread
+    root = np.linalg.cholesky((model + model.T) / 2)
+    # Into coordinates in which the estimate's covariance under the model is the identity.
+    into = np.linalg.solve(root, bread)
+    off = (scores.terms[:, :p, p] - a @ step) @ into.T
+    # The residuals are those at the estimate: what each target pulled it by is missing from its own score.
+    hat = a @ bread
+    pulled = hat @ scores.meat
+    expected = scores.meat - pulled - np.swapaxes(pulled, 1, 2) + hat @ meat @ np.swapaxes(hat, 1, 2)
+    expected = into @ expected @ into.T
+    share = np.einsum("gii->g", into @ scores.meat @ into.T)
+    targets = float(share.sum() ** 2 / max((share**2).sum(), 1e-300))
+    whole = expected.sum(axis=0)
+    size, axes = np.linalg.eigh((whole + whole.T) / 2)
+    # Where one target alone carries a direction there is no residual: the model speaks for it.
+    grow = (axes / np.sqrt(np.clip(size, 0.05, None))) @ axes.T
+    off, expected = off @ grow, grow @ expected @ grow
+    found = off.T @ off
+    trace = np.einsum("gii->g", expected)
+    scale = float(np.trace(found) / max(trace.sum(), 1e-300))
     scale = (targets * scale + _SCALE_TARGETS) / (targets + _SCALE_TARGETS)
-    chance = scale**2 * float((weight**2).sum() + (share**2).sum())
-    apart = float(((meat - scale * np.eye(p)) ** 2).sum())
+    chance = scale**2 * float((trace**2).sum() + (expected**2).sum())
+    apart = float(((found - scale * np.eye(p)) ** 2).sum())
     follow = max(0.0, 1.0 - chance / apart) if apart > 0 else 0.0
-    shape = (1 - follow) * scale * np.eye(p) + follow * meat
-    root = np.linalg.cholesky(solution.covariance)
+    shape = (1 - follow) * scale * np.eye(p) + follow * found
     # The components were estimated from so many targets: errors over their sd follow a t distribution, whose variance this is.
     freedom = max(targets - 1.0, 3.0)
     covariance = root @ shape @ root.T * freedom / (freedom - 2.0)
-    return (covariance + covariance.T) / 2, targets
-
-
-def _whitened_scores(reduced: FloatArray, solution: Solution) -> tuple[FloatArray, FloatArray]:
-    """Each target's bias-reduced score (G, p) in coordinates in which the model's covariance is the identity.
-
-    The second result (G, p, p) is what the model expects of their outer products; it sums to nearly the identity.
-    """
-    p = len(solution.value)
-    root = np.linalg.cholesky(solution.covariance)
-    share = root.T @ reduced[:, :p, :p] @ root
-    score = (reduced[:, :p, p] - reduced[:, :p, :p] @ solution.value) @ root
-    size, axes = np.linalg.eigh((share + np.swapaxes(share, 1, 2)) / 2)
-    # A target that alone carries a direction has no residual there: the growth is bounded, the model speaks for it.
-    grow = 1.0 / np.sqrt(np.clip(1.0 - size, 0.05, 1.0))
-    score = ((score[:, None, :] @ axes) * grow[:, None, :] @ np.swapaxes(axes, 1, 2))[:, 0, :]
-    return score, share
+    return Honest(model, (covariance + covariance.T) / 2, root @ found @ root.T, bread, scale, targets)
