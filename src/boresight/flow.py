@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from .calibration import Calibration, Input
 
 Progress = Callable[[str], None]
+_RESULTS = ("calibration.json", "residuals.parquet", "report.html")
 
 
 def _silent(_: str) -> None:
@@ -125,7 +126,7 @@ def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> 
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"is no folder that can be written to ({error.strerror})", path=out) from error
-    _keep_earlier(out, ("calibration.json", "residuals.parquet", "report.html"))
+    _keep_earlier(out, _RESULTS)
     save(run.calibration, out / "calibration.json")
     write_table(out / "residuals.parquet", run.residuals)
     write_report(
@@ -170,16 +171,19 @@ def correct_files(
 
 def demo(out: str | Path, *, seed: int = 1, progress: Progress = _silent) -> Run:
     """Simulate two radars with known errors, write real ASTERIX, calibrate from those files, and set found against true."""
-    from .simulate.demo import write_demo
+    from .simulate.demo import demo_files, write_demo
 
     progress("simulating two radars and 30 aircraft")
-    files = write_demo(out, seed)
+    folder = Path(out)
+    _keep_earlier(folder, _RESULTS + tuple(p.name for p in demo_files(folder)))
+    files = write_demo(folder, seed)
     return calibrate(
         files.plots,
         files.reference,
         load_sensors(files.sensors),
         date=files.date,
-        out=out,
+        editions={21: "2.4"},
+        out=folder,
         truth=files.truth,
         title="Demonstration: simulated radars with known errors",
         progress=progress,

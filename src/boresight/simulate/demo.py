@@ -99,6 +99,12 @@ class DemoFiles(msgspec.Struct, frozen=True):
     truth: dict[str, dict[str, float]]
 
 
+def demo_files(folder: str | Path) -> tuple[Path, ...]:
+    """The files that `write_demo` writes into `folder`."""
+    names = [f"{radar.name}.ast" for radar in demo_scene(0).radar]
+    return tuple(Path(folder) / name for name in [*names, "adsb.ast", "sensors.toml", "truth.json"])
+
+
 def write_demo(folder: str | Path, seed: int = 1) -> DemoFiles:
     """Simulate the demonstration and write it to `folder`.
 
