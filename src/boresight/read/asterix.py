@@ -32,6 +32,7 @@ _ROWS = 1 << 16
 _SKIP = 1 << 16
 # So far blocks of categories without a table may follow each other until one with a table shows that they are blocks.
 _CHAIN = 1 << 16
+_AHEAD = 512
 # Blocks that are looked at to infer an edition: few enough for a stream to start soon, many enough not to be fooled.
 _SAMPLE = 16
 # Records that follow each other in a sample of a file are this close in time, whatever the file.
@@ -223,7 +224,7 @@ def _length(data: ByteArray, p: int) -> int:
 @kernel
 def _walk(
     data: ByteArray, pos: int, final: bool, cats: IntArray, nodes: IntArray,
-    start: IntArray, length: IntArray, category: AnyArray, items: AnyArray, unknown: IntArray, row: AnyArray,
+    start: IntArray, length: IntArray, category: AnyArray, items: AnyArray,
 ) -> tuple[int, int, int, int, int, int, int]:  # fmt: skip
     """Read blocks from `pos` on; fills rows.
 
@@ -246,25 +247,7 @@ def _walk(
         if first == -2:
             return n, pos, 5, pos, 0, rows_prev, prev
         if first < 0:
-            # A category without a table is passed over, if a block follows it and none is hidden in it.
-            known, q = 0, end
-            while q <= size and q < end + _CHAIN:
-                known = _follows(data, q, final, cats, nodes, row)
-                if known != 0 or size - q < 3 or cats[data[q], 0] >= 0 or _length(data, q) < 3:
-                    break
-                if _int(data[q]) == cat and q > pos:
-                    known = 1
-                    break
-                q += _length(data, q)
-            if known == 0 and q > size and not final:
-                known = -1
-            if known == 1 and _hidden(data, pos + 3, end, end, False, final, cats, nodes, row) > 0:
-                known = 0
-            if known <= 0:
-                return n, pos, 0 if known < 0 else 4, pos, 0, rows_prev, prev
-            unknown[cat] += 1
-            prev, pos = -1, end
-            continue
+            return n, pos, 4, pos, 0, rows_prev, prev
         before = n
         p = pos + 3
         stop = min(end, size)
@@ -354,6 +337,48 @@ def _hidden(
         if q == -1:
             return -1
     return 0
+
+
+@kernel
+def _pass_over(
+    data: ByteArray,
+    pos: int,
+    final: bool,
+    cats: IntArray,
+    nodes: IntArray,
+    unknown: IntArray,
+    row: AnyArray,
+    most: int,
+    ahead: int,
+) -> int:
+    """Where blocks without a table that begin at `pos` end; `pos` where these are no blocks, -1 where only more data can tell.
+
+    They are blocks if they lead, within `most` bytes, to one that can be read, to another of the same category or to the end of
+    the data, and if none that can be read begins in them (looked at up to `ahead` bytes behind).  Counts them in `unknown`.
+    """
+    size, begin = len(data), pos
+    while size - pos >= 3 and cats[data[pos], 0] == -1:
+        end = pos + _length(data, pos)
+        known, q = 0, end
+        while end > pos + 2 and q <= size and q < end + most:
+            known = _follows(data, q, final, cats, nodes, row)
+            if known != 0 or size - q < 3 or cats[data[q], 0] >= 0 or _length(data, q) < 3:
+                break
+            if data[q] == data[pos]:
+                known = 1
+                break
+            q += _length(data, q)
+        if known == 0 and end > pos + 2 and q > size and not final:
+            known = -1
+        if known == 1 and q + ahead > size and not final:
+            known = -1
+        if known == 1 and _hidden(data[: q + ahead], pos + 3, q, q, False, True, cats, nodes, row) > 0:
+            known = 0
+        if known <= 0:
+            return pos if known == 0 or pos > begin else -1
+        unknown[data[pos]] += 1
+        pos = end
+    return pos
 
 
 @kernel
@@ -460,13 +485,15 @@ def _unwrap(tod: FloatArray, source: IntArray, last: FloatArray, latest: float, 
 
 
 @kernel
-def _digest(data: ByteArray, start: IntArray, length: IntArray, out: AnyArray) -> None:
-    """A 64-bit number for the bytes of each record (FNV-1a): equal bytes give equal numbers."""
+def _digest(data: ByteArray, start: IntArray, length: IntArray, out: IntArray) -> None:
+    """A number of 63 bits for the bytes of each record: equal bytes give equal numbers (two FNV-1 sums of 32 bits)."""
     for i in range(len(start)):
-        h = np.uint64(14695981039346656037)
+        a, b = 2166136261, 40389
         for j in range(start[i], start[i] + length[i]):
-            h = (h ^ np.uint64(data[j])) * np.uint64(1099511628211)
-        out[i] = h
+            byte = _int(data[j])
+            a = a * 16777619 & 0xFFFFFFFF ^ byte
+            b = b * 16777633 & 0xFFFFFFFF ^ byte
+        out[i] = (b & 0x7FFFFFFF) << 32 | a
 
 
 # ------------------------------------------------------------------------------------------------------------- fields wanted
@@ -596,7 +623,7 @@ class Records:
     category: AnyArray
     source: AnyArray
     time_s: FloatArray
-    digest: AnyArray
+    digest: IntArray
     site: tuple[tuple[int, float, float, float], ...]
     damaged: tuple[Damage, ...]
     unknown: Mapping[int, int]
@@ -738,8 +765,8 @@ def _score(data: ByteArray, places: list[int], category: int, edition: str) -> f
         block = data[place : _end(data, place)]
         room = len(block) // 3 + 1
         start, length, cats = np.zeros(room, np.int64), np.zeros(room, np.int64), np.zeros(room, np.uint8)
-        items, unknown = np.zeros((room, _width()), np.uint16), np.zeros(256, np.int64)
-        n, _, how, *_ = _walk(block, 0, True, layout.cats, layout.nodes, start, length, cats, items, unknown, items[0].copy())
+        items = np.zeros((room, _width()), np.uint16)
+        n, _, how, *_ = _walk(block, 0, True, layout.cats, layout.nodes, start, length, cats, items)
         if how == _MORE and n:
             whole += 1
             found.append(start[:n] + place)
@@ -855,7 +882,7 @@ def _decode_some(
     go_on = False
     while True:
         m, pos, how, place, code, rows_before, before = _walk(
-            data, pos, final, layout.cats, layout.nodes, start[n:], length[n:], category[n:], items[n:], unknown, row
+            data, pos, final, layout.cats, layout.nodes, start[n:], length[n:], category[n:], items[n:]
         )
         rows_before += n
         n += m
@@ -868,7 +895,13 @@ def _decode_some(
                 layout = _layout_of(editions)
                 # What was read is not read again.
                 continue
-        waits = how == _FULL or (how == _MORE and not final) or (how == _PENDING and ended and not final)
+        passed = pos
+        if how == _STRANGE:
+            passed = _pass_over(data, pos, final, layout.cats, layout.nodes, unknown, row, _CHAIN, _AHEAD)
+            if passed > pos:
+                pos = passed
+                continue
+        waits = passed < 0 or how == _FULL or (how == _MORE and not final) or (how == _PENDING and ended and not final)
         if how == _MORE and final:
             break
         if not waits:
@@ -1016,7 +1049,7 @@ def _assemble(
                 told = np.column_stack([source[mine], *(columns[name] for name in names)])
                 for s, *place in np.unique(told, axis=0).tolist():
                     site[int(s), place[0], place[1], place[2]] = None
-    digest = np.empty(n, np.uint64)
+    digest = np.empty(n, np.int64)
     _digest(data, start, length, digest)
     records = Records(
         plots=_ordered(Plots, plots), fixes=_ordered(Fixes, fixes), offset=start + state.offset, length=length.copy(),
@@ -1274,11 +1307,10 @@ def decode_items(data: bytes, editions: Mapping[int, str] | None = None) -> Iter
     layout = _layout_of(known)
     buffer = _buffer(data)
     start, length, cats = np.empty(_ROWS, np.int64), np.empty(_ROWS, np.int64), np.empty(_ROWS, np.uint8)
-    unknown, row = np.zeros(256, np.int64), np.zeros(layout.width, np.uint16)
     pos = 0
     while pos < len(buffer):
         items = np.zeros((_ROWS, layout.width), np.uint16)
-        n, stop, how, *_ = _walk(buffer[pos:], 0, True, layout.cats, layout.nodes, start, length, cats, items, unknown, row)
+        n, stop, how, *_ = _walk(buffer[pos:], 0, True, layout.cats, layout.nodes, start, length, cats, items)
         for i in range(n):
             begin, category = pos + int(start[i]), int(cats[i])
             places = items[i].tolist()
