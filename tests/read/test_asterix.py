@@ -463,6 +463,14 @@ def test_categories_that_cannot_be_read_are_passed_over_and_counted(tmp_path: Pa
     assert any(w.startswith("3 blocks of category 062 were passed over") for w in recording.warnings)
 
 
+def test_blocks_of_several_unknown_categories_in_a_row_are_passed_over() -> None:
+    other = block(23, b"\x80\x01\x02") + block(247, bytes(9)) + block(25, bytes(range(40)))
+    records = whole((block(10, smr(1.0)) + other) * 5)
+    assert len(records.offset) == 5
+    assert records.unknown == {23: 5, 25: 5, 247: 5}
+    assert not records.damaged
+
+
 def test_garbage_without_end_does_not_hold_up_a_stream() -> None:
     garbage = np.random.default_rng(1).integers(0, 256, 400_000, dtype=np.uint8).tobytes()
     data = garbage + b"".join(block(10, smr(float(k))) for k in range(50))

@@ -1026,20 +1026,21 @@ def _assemble(
         if (cat, uap.family(cat, edition)) in uap.FIXES:
             needs, wanted = uap.FIXES[cat, uap.family(cat, edition)]
             mine = rows[_has(items, rows, [slots[i] for i in needs])]
-            columns, flags = _columns(data, start, items, mine, cat, edition, wanted, True)
-            columns = _fixes(columns)
-            if cat == 21:
-                # Only a time of applicability is that of the position; a reception is a little later, a transmission by far.
-                names = [text for text, _ in uap.TIMES[cat, uap.family(cat, edition)]]
-                reception = np.array([text == "073.073" for text in names] + [False])[which[mine]]
-                transmission = np.array([text == "077.077" for text in names] + [False])[which[mine]]
-                flags = flags | np.where(reception, int(Flag.TIME_OF_RECEPTION), 0)
-                if transmission.any():
-                    columns["time_sd_s"] = np.where(transmission, TRANSMISSION_SD_S, columns.get("time_sd_s", np.nan))
-            table = Fixes(time_s=time_s[mine], source=source[mine], flags=flags, record=mine + state.records, **columns)
-            placed = np.isfinite(table.latitude_rad + table.longitude_rad) | np.isfinite(table.x_m + table.y_m)
-            clipped += int(np.count_nonzero(~placed))
-            fixes.append(table if placed.all() else table[placed])
+            if len(mine):
+                columns, flags = _columns(data, start, items, mine, cat, edition, wanted, True)
+                columns = _fixes(columns)
+                if cat == 21:
+                    # Only a time of applicability is that of the position; a reception is a little later, a transmission by far.
+                    names = [text for text, _ in uap.TIMES[cat, uap.family(cat, edition)]]
+                    reception = np.array([text == "073.073" for text in names] + [False])[which[mine]]
+                    transmission = np.array([text == "077.077" for text in names] + [False])[which[mine]]
+                    flags = flags | np.where(reception, int(Flag.TIME_OF_RECEPTION), 0)
+                    if transmission.any():
+                        columns["time_sd_s"] = np.where(transmission, TRANSMISSION_SD_S, columns.get("time_sd_s", np.nan))
+                table = Fixes(time_s=time_s[mine], source=source[mine], flags=flags, record=mine + state.records, **columns)
+                placed = np.isfinite(table.latitude_rad + table.longitude_rad) | np.isfinite(table.x_m + table.y_m)
+                clipped += int(np.count_nonzero(~placed))
+                fixes.append(table if placed.all() else table[placed])
         if cat in uap.SITES:
             texts = uap.SITES[cat]
             mine = rows[_has(items, rows, [slots[texts[0].partition(".")[0]]])]
