@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight.associate import hough
-from boresight.associate.hough import Candidates, Window
+from boresight.associate.hough import Bias, Candidates, Window
 
 WINDOW = Window(2000.0, np.radians(3.5), 2.5)
 
@@ -26,8 +26,19 @@ def candidates(rng, true_tracks, false_tracks, bias=(0.0, 0.0, 0.0), points=12, 
     true = (track < true_tracks) & (target == 0)
     error_r[true] = (bias[0] - rate_r * bias[2] + rng.normal(0, 50, n))[true]
     error_a[true] = (bias[1] - rate_a * bias[2] + rng.normal(0, 0.0017, n))[true]
+    distance, azimuth = rng.uniform(2e4, 2e5, n // points)[pair], rng.uniform(0, 6.28, n // points)[pair]
     return Candidates(
-        track, target, np.full(n, 1 / points), error_r, error_a, rate_r, rate_a, np.full(n, 60.0), np.full(n, 0.002)
+        track,
+        target,
+        np.full(n, 1 / points),
+        error_r,
+        error_a,
+        rate_r,
+        rate_a,
+        np.full(n, 60.0),
+        np.full(n, 0.002),
+        distance,
+        azimuth,
     )
 
 
@@ -37,8 +48,8 @@ def test_late_stamps_leave_no_residual():
     stamp = np.arange(5.0) + 2.0
     reference_at_stamp = 10_000.0 + 200.0 * stamp
     n = np.zeros(5)
-    c = Candidates(n.astype(int), n.astype(int), n + 0.2, truth + 100.0 - reference_at_stamp, n, n + 200.0, n, n + 1, n + 1)
-    left, _ = hough.residuals(c, 100.0, 0.0, 2.0)
+    c = Candidates(n.astype(int), n.astype(int), n + 0.2, truth + 100.0 - reference_at_stamp, n, n + 200.0, n, n + 1, n + 1, n, n)
+    left, _ = hough.residuals(c, Bias(100.0, 0.0, 2.0))
     assert np.allclose(left, 0.0, atol=1e-9)
 
 
@@ -54,19 +65,19 @@ def test_planted_biases_are_found(seed, range_m, azimuth_deg, late_s, tracks):
     assert tracks <= peak.tracks <= tracks + 1
     # With few tracks range and time hide behind each other: the tolerance is for what the pairs see, not for each alone.
     true = (c.track < tracks) & (c.target == 0)
-    left = np.array(hough.residuals(c.keep(true), peak.range_m, peak.azimuth_rad, peak.time_s))
+    left = np.array(hough.residuals(c.keep(true), peak.bias))
     assert np.all(np.abs(np.median(left, axis=1)) < (40.0, 0.0015))
     if tracks >= 10:
-        assert abs(peak.range_m - range_m) < 40
-        assert abs(peak.azimuth_rad - np.radians(azimuth_deg)) < 0.0015
-        assert abs(peak.time_s - late_s) < 0.25
+        assert abs(peak.bias.range_m - range_m) < 40
+        assert abs(peak.bias.azimuth_rad - np.radians(azimuth_deg)) < 0.0015
+        assert abs(peak.bias.time_s - late_s) < 0.25
 
 
 def test_scores_are_the_naive_sum():
     """`explained` against loops over pairs and points."""
     rng = np.random.default_rng(3)
     c = candidates(rng, 3, 2, (100.0, 0.01, 0.5), points=5)
-    score, track, target, pair = hough.explained(c, 100.0, 0.01, 0.5, 3.0)
+    score, track, target, pair = hough.explained(c, Bias(100.0, 0.01, 0.5), 3.0)
     for k in range(len(score)):
         total = 0.0
         for i in np.flatnonzero((c.track == track[k]) & (c.target == target[k])):
@@ -100,8 +111,8 @@ def test_without_a_time_window_the_time_bias_is_zero():
     """A window of 0 s searches range and azimuth alone."""
     c = candidates(np.random.default_rng(5), 10, 5, (300.0, 0.01, 0.0))
     peak = hough.search_peak(c, Window(2000.0, 0.06, 0.0))
-    assert abs(peak.time_s) < 1e-6
-    assert abs(peak.range_m - 300) < 40
+    assert abs(peak.bias.time_s) < 1e-6
+    assert abs(peak.bias.range_m - 300) < 40
 
 
 def test_shared_offset_counts_each_track_once():
@@ -115,3 +126,34 @@ def test_shared_offset_counts_each_track_once():
     assert abs(late - 1000) < 5
     assert tracks == 5
     assert hough.shared_offset(plot_time, plot_track, fix_time, (np.empty(0, int), np.empty(0, int)), 10.0)[1] == 0
+
+
+def test_gain_and_eccentricity_are_followed():
+    """True errors bent by 6 m/km and 0.8° of eccentricity: wide votes find them, and `bent` follows them to the noise."""
+    rng = np.random.default_rng(7)
+    c = candidates(rng, 25, 5, (200.0, 0.01, 0.3))
+    true = (c.track < 25) & (c.target == 0)
+    bend = Bias(0.0, 0.0, 0.0, 0.006, 0.012, -0.008).at(c.range_m, c.azimuth_rad)
+    c = c._replace(
+        range_error_m=c.range_error_m + np.where(true, bend[0], 0.0),
+        azimuth_error_rad=c.azimuth_error_rad + np.where(true, bend[1], 0.0),
+    )
+    wide = Window(6000.0, 0.18, 2.5)
+    assert hough.search_peak(c, wide).tracks < 15
+    start = hough.search_peak(hough.widened(c, 10.0), wide)
+    found = hough.bent(c, wide, start.bias, 10.0)
+    assert found.tracks >= 24
+    assert found.bias.range_gain == pytest.approx(0.006, abs=0.0006)
+    assert found.bias.azimuth_cos_rad == pytest.approx(0.012, abs=0.001)
+    assert found.bias.azimuth_sin_rad == pytest.approx(-0.008, abs=0.001)
+
+
+def test_what_the_geometry_does_not_show_stays_small():
+    """All tracks at one range and azimuth: gain and eccentricity cannot be told from the constants, and are not invented."""
+    c = candidates(np.random.default_rng(8), 20, 0, (300.0, 0.02, 0.0))
+    c = c._replace(range_m=np.full(len(c.track), 8e4), azimuth_rad=np.full(len(c.track), 1.0))
+    peak = hough.refine(c, WINDOW, Bias(300.0, 0.02, 0.0), bends=True)
+    assert abs(peak.bias.range_gain) < 5e-4
+    left = peak.bias.at(np.array([8e4]), np.array([1.0]))
+    assert left[0][0] == pytest.approx(300, abs=40)
+    assert left[1][0] == pytest.approx(0.02, abs=0.0015)

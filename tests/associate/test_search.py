@@ -75,6 +75,18 @@ class TestRightPairs:
         assert np.mean(error) == pytest.approx(900, abs=4 * 90 / np.sqrt(len(error)))
         assert np.std(error) == pytest.approx(90, rel=0.05)
 
+    @pytest.mark.parametrize("identity", [True, False])
+    def test_large_gain_and_eccentricity(self, identity):
+        """3 m/km of range gain and half a degree of eccentricity: all of the coverage is paired, not just one sector."""
+        s = scene(seed=12, aircraft=50, identity=identity, unknown=0)
+        distance, azimuth = s.plots.range_m, s.plots.azimuth_rad
+        bent = azimuth + np.radians(0.5) * np.cos(azimuth)
+        s.plots = s.plots.replace(range_m=1.003 * distance, azimuth_rad=bent % (2 * np.pi))
+        found = find(s)
+        assert errors(s, found) == 0
+        assert len(found.pairs) >= 0.98 * pairable(s)
+        assert found.bias[0].range_gain == pytest.approx(0.003, abs=0.0008)
+
     def test_plots_without_track_numbers(self):
         """Single plots among twice as much clutter: nearest target after the search, one plot per target and scan."""
         s = scene(seed=4, aircraft=40, numbers=False, clutter=2000)

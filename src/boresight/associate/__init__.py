@@ -203,11 +203,11 @@ def _one_sensor(
     names = identity.names_of(plots, tracks.order, tracks.start)
     bias, said = coarse(scene, tracks, names)
     decided, by = _decide(scene, tracks, names, bias)
-    for _ in range(3):
+    for _ in range(6):
         before, bias = bias, _refined(scene, tracks, decided, bias)
         if not _moved(scene, before, bias):
             break
-        # Biases at the window's edge are found in steps: what they now explain is looked at again.
+        # Large gain, eccentricity, or biases at the window's edge are found in steps: what they now explain is looked at again.
         decided, by = _decide(scene, tracks, names, bias)
     said += clock_words(sensor, bias)
     target, track = np.full(len(plots), -1, np.int64), np.full(len(plots), -1, np.int64)
@@ -329,11 +329,10 @@ def _decide(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names, bi
     if not len(pair[0]):
         return nobody, by
     units = units_of(*tracklets.sample(tracks, scene.settings.points))
-    centre = (bias.range_m, bias.azimuth_rad, bias.time_s)
-    c = scene.candidates(units, pair, window=Window(0.0, 0.0, 0.0), centre=centre, margin=scene.settings.gate_sd)
+    c = scene.candidates(units, pair, window=Window(0.0, 0.0, 0.0), centre=bias.errors, margin=scene.settings.gate_sd)
     if not len(c.track):
         return nobody, by
-    left = hough.residuals(c, *centre)
+    left = hough.residuals(c, bias.errors)
     d2 = (left[0] / c.range_sd_m) ** 2 + (left[1] / c.azimuth_sd_rad) ** 2
     track, target, cost, share, seen = track_cost(c.track, c.target, d2, c.weight, scene.settings.gate_sd**2)
     # A pair that shares hardly any time, or agrees in less than half of what it shares, is no candidate.
@@ -391,18 +390,21 @@ def _refined(scene: Scene, tracks: tracklets.Tracklets, decided: Decision, bias:
     if not len(c.track):
         return bias
     wide = Window(4 * scene.window.range_m, 4 * scene.window.azimuth_rad, 1.2 * scene.window.time_s)
-    peak = hough.refine(c, wide, bias.range_m, bias.azimuth_rad, bias.time_s)
+    peak = hough.refine(c, wide, bias.errors, bends=True)
     if peak.tracks < 0.5 * len(which):
         return bias
-    return msgspec.structs.replace(bias, range_m=peak.range_m, azimuth_rad=peak.azimuth_rad, time_s=peak.time_s)
+    return msgspec.structs.replace(bias, **peak.bias._asdict())
 
 
 def _moved(scene: Scene, before: CoarseBias, after: CoarseBias) -> bool:
-    """Whether biases changed by more than the noise of one plot: pairs may then have been missed."""
+    """Whether biases changed by more than the noise of one plot, somewhere in the coverage: pairs may then have been missed."""
     a = scene.assumed
-    return (
-        abs(after.range_m - before.range_m) > a.range_sd_m
-        or abs(after.azimuth_rad - before.azimuth_rad) > a.azimuth_sd_rad
+    azimuth = np.linspace(0.0, 2 * np.pi, 16)
+    reach = np.linspace(0.0, float(np.nanmax(scene.plots.range_m)), 16)
+    old, new = before.errors.at(reach, azimuth), after.errors.at(reach, azimuth)
+    return bool(
+        np.max(np.abs(new[0] - old[0])) > a.range_sd_m
+        or np.max(np.abs(new[1] - old[1])) > a.azimuth_sd_rad
         or abs(after.time_s - before.time_s) > 0.3
     )
 
@@ -414,7 +416,7 @@ def _gate(scene: Scene, reason: AnyArray, target: IntArray, bias: CoarseBias) ->
     if not len(rows):
         return d2
     c = scene.compare(rows, target[rows], late_s=bias.time_s)
-    across, along = measure.wrap_rad(c.azimuth_error_rad - bias.azimuth_rad), c.range_error_m - bias.range_m
+    along, across = singles.left_over(c, bias)
     d2[rows] = (along / c.range_sd_m) ** 2 + (across / c.azimuth_sd_rad) ** 2
     if scene.assumed.gate_m is not None:
         outside = np.hypot(along, across * c.ground_m) > scene.assumed.gate_m

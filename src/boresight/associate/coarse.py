@@ -13,17 +13,21 @@ from .._types import BoolArray, FloatArray, IntArray
 from ..errors import NothingToDo
 from ..model import Sensor
 from . import hough, identity, tracklets
-from .hough import Candidates, Peak, Window
+from .hough import Bias, Candidates, Peak, Window
 from .scene import Scene, Units, meeting, units_of
 
 # A clock that is farther off than this is worth a sentence.
 _CLOCK_WARNING_S = 0.5
 # Where single plots vote, fewer than this many agreeing ones decide nothing.
 _FEWEST_PLOTS = 20
+# Where votes as wide as the noise do not meet, gain or eccentricity may be in the way: votes so many times as wide are tried.
+_WIDE = 3.0
 
 
 class CoarseBias(msgspec.Struct, frozen=True, kw_only=True):
     """The biases at which a sensor's pairs were found: measured - true, and stamp - true (positive: stamped late).
+
+    `range_gain` (m per m) and the eccentricity (rad per cosine and sine of the azimuth) only tell where the last gate was.
 
     `by` is "identity" or "geometry".  `score` of `tracks` units (tracks, or single plots where the radar has no tracks) agree;
     `chance` is what the same search gathers on average with spoilt clocks or north (NaN where identity made that needless).
@@ -34,10 +38,18 @@ class CoarseBias(msgspec.Struct, frozen=True, kw_only=True):
     range_m: float
     azimuth_rad: float
     time_s: float
+    range_gain: float = 0.0
+    azimuth_cos_rad: float = 0.0
+    azimuth_sin_rad: float = 0.0
     by: str
     score: float
     tracks: int
     chance: float
+
+    @property
+    def errors(self) -> Bias:
+        """The biases as the search computes with them."""
+        return Bias(self.range_m, self.azimuth_rad, self.time_s, self.range_gain, self.azimuth_cos_rad, self.azimuth_sin_rad)
 
 
 def coarse(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names) -> tuple[CoarseBias, list[str]]:
@@ -65,26 +77,35 @@ def coarse(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names) -> 
                 if _at_edge(peak, scene.window):
                     why = "the time bias on which they agree lies at the edge of the window or beyond"
                 said.append(f"{scene.sensor.name}: identity pairs {compared} tracks, but {why}")
-    peak, spoilt, looked_at = _by_votes(scene, tracks, names, units)
     needed = _FEWEST_PLOTS if _single(tracks, units) else scene.settings.min_tracks
-    chance = float(np.mean([p.score for p in spoilt])) if spoilt else 0.0
-    if hough.is_significant(peak, spoilt, needed) and not _at_edge(peak, scene.window):
-        return _bias(scene, peak, "geometry", looked_at, chance), said
+    looked_at = len(np.unique(units.unit))
+    ballots = _ballots(scene, tracks, names, units)
+    outcome: list[tuple[Peak, float]] = []
+    for width in (1.0, _WIDE):
+        peak, *spoilt = (
+            (hough.search_peak(hough.widened(c, width), scene.window) for c in ballots) if ballots else [hough.NO_PEAK]
+        )
+        outcome.append((peak, float(np.mean([p.score for p in spoilt])) if spoilt else 0.0))
+        if not hough.is_significant(peak, spoilt, needed):
+            continue
+        if width > 1.0:
+            peak = hough.bent(ballots[0], scene.window, peak.bias, width)
+        if peak.tracks >= needed and not _at_edge(peak, scene.window):
+            return _bias(scene, peak, "geometry", looked_at, outcome[-1][1]), said
+    peak, chance = outcome[0]
     if named is not None:
         return named, said
     raise _refusal(scene, tracks, names, units, peak, chance, looked_at, needed, said)
 
 
 def _bias(scene: Scene, peak: Peak, by: str, tracks: int, chance: float) -> CoarseBias:
-    return CoarseBias(
-        sensor=scene.sensor.key, name=scene.sensor.name, range_m=peak.range_m, azimuth_rad=peak.azimuth_rad, time_s=peak.time_s,
-        by=by, score=peak.score, tracks=tracks, chance=chance,
-    )  # fmt: skip
+    who = scene.sensor
+    return CoarseBias(sensor=who.key, name=who.name, by=by, score=peak.score, tracks=tracks, chance=chance, **peak.bias._asdict())
 
 
 def _at_edge(peak: Peak, window: Window) -> bool:
     """Whether the time bias lies at the edge of its window: the true one may be anywhere beyond."""
-    return window.time_s > 0 and abs(peak.time_s) >= 0.98 * window.time_s
+    return window.time_s > 0 and abs(peak.bias.time_s) >= 0.98 * window.time_s
 
 
 def span_of(scene: Scene, tracks: tracklets.Tracklets) -> tuple[FloatArray, FloatArray]:
@@ -118,8 +139,18 @@ def _by_identity(scene: Scene, tracks: tracklets.Tracklets, track: IntArray, tar
     if len(c.track) < max(3, scene.settings.min_plots):
         # Three biases explain fewer plots than that whatever they are.
         return hough.NO_PEAK, 0
-    share = np.bincount(c.track, c.weight, minlength=1)
-    return hough.search_peak(c, wide), int(np.sum(share >= 0.3))
+    compared = int(np.sum(np.bincount(c.track, c.weight, minlength=1) >= 0.3))
+    best = hough.NO_PEAK
+    # Gain and eccentricity may spread the errors far beyond the noise: then wider votes meet where narrow ones do not.
+    for width in (1.0, 3.0, 10.0):
+        peak = hough.search_peak(hough.widened(c, width), wide)
+        if width > 1.0 and peak.tracks > best.tracks:
+            peak = hough.bent(c, wide, peak.bias, width)
+        if peak.tracks > best.tracks:
+            best = peak
+        if best.tracks >= 0.8 * compared:
+            break
+    return best, compared
 
 
 def _units(scene: Scene, tracks: tracklets.Tracklets) -> Units:
@@ -157,27 +188,25 @@ def _votes(
     return scene.candidates(units, (who[unit], target), window=window, **change)  # type: ignore[arg-type]
 
 
-def _by_votes(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names, units: Units) -> tuple[Peak, list[Peak], int]:
-    """The peak of all candidates, the peaks with spoilt clocks and north, and how many units took part."""
-    looked_at = len(np.unique(units.unit))
-    if not looked_at:
-        return hough.NO_PEAK, [], 0
-    peak = hough.search_peak(_votes(scene, tracks, names, units, scene.window), scene.window)
-    if peak.tracks == 0:
-        return peak, [], looked_at
-    # Chance, measured: the same traffic at other times (routes stay, company changes), and turned about the radar.
+def _ballots(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names, units: Units) -> list[Candidates]:
+    """The candidates as they are, and as they are with clocks or north spoilt, so that none can be true.
+
+    Chance is thereby measured, not modelled: the same traffic at other times (routes stay, company changes), and turned about
+    the radar.
+    """
+    if not len(units.unit):
+        return []
+    changes: list[dict[str, object]] = [{}]
     first = max(float(scene.plots.time_s[units.row].min()), float(scene.reference.start_s.min()))
     last = min(float(scene.plots.time_s[units.row].max()), float(scene.reference.fixes.time_s[scene.reference.order].max()))
-    spoilt = []
-    for part in (0.23, 0.41, 0.59, 0.77):
-        if last - first > 4 * scene.window.time_s:
-            change = {"shift_s": part * (last - first), "cycle_s": (first, last)}
-            spoilt.append(hough.search_peak(_votes(scene, tracks, names, units, scene.window, **change), scene.window))
-    for turn in (50.0, 140.0, 215.0, 305.0):
-        spoilt.append(
-            hough.search_peak(_votes(scene, tracks, names, units, scene.window, turn_rad=np.radians(turn)), scene.window)
-        )
-    return peak, spoilt, looked_at
+    if last - first > 4 * scene.window.time_s:
+        changes += [{"shift_s": part * (last - first), "cycle_s": (first, last)} for part in (0.23, 0.41, 0.59, 0.77)]
+    changes += [{"turn_rad": np.radians(turn)} for turn in (50.0, 140.0, 215.0, 305.0)]
+    out = []
+    for change in changes:
+        c = _votes(scene, tracks, names, units, scene.window, **change)
+        out.append(c.keep(hough.within(c, scene.window, 3 * _WIDE)))
+    return out
 
 
 def _refusal(
@@ -269,7 +298,7 @@ def _probable_offset(scene: Scene, tracks: tracklets.Tracklets, names: identity.
     peak = hough.search_peak(scene.candidates(units, (who[unit], j), window=around, shift_s=-late), around)
     if peak.tracks < max(scene.settings.min_tracks if known is None else 1, 0.5 * agree):
         return None
-    return late + peak.time_s
+    return late + peak.bias.time_s
 
 
 def _known_pairs(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names, units: Units) -> BoolArray | None:

@@ -21,7 +21,8 @@ class Candidates(NamedTuple):
     `track` and `target` (m,) number the pair, `weight` is 1 / (plots looked at of that track), so that a track's weights sum
     to 1 per target that is there all the time.  `range_error_m` and `azimuth_error_rad` are measured - reference at the
     plot's stamp, `range_rate_mps` and `azimuth_rate_radps` how the reference moves as the radar sees it.  The sd are how far
-    a true candidate may lie off once the biases are known: noise of both sides, and what three constants cannot describe.
+    a true candidate may lie off once the biases are known: noise of both sides, and what the biases cannot describe.
+    `range_m` and `azimuth_rad` are where the reference is.
     """
 
     track: IntArray
@@ -33,12 +34,15 @@ class Candidates(NamedTuple):
     azimuth_rate_radps: FloatArray
     range_sd_m: FloatArray
     azimuth_sd_rad: FloatArray
+    range_m: FloatArray
+    azimuth_rad: FloatArray
 
     def keep(self, rows: BoolArray) -> Candidates:
         """The rows of a mask."""
         return Candidates(
             self.track[rows], self.target[rows], self.weight[rows], self.range_error_m[rows], self.azimuth_error_rad[rows],
             self.range_rate_mps[rows], self.azimuth_rate_radps[rows], self.range_sd_m[rows], self.azimuth_sd_rad[rows],
+            self.range_m[rows], self.azimuth_rad[rows],
         )  # fmt: skip
 
 
@@ -50,32 +54,54 @@ class Window(NamedTuple):
     time_s: float
 
 
+class Bias(NamedTuple):
+    """Coarse errors of a radar: measured - true; time: stamp - true.
+
+    The search finds the first three.  `refine` adds, where asked to, what bends them: `range_gain` (m per m) and the
+    eccentricity `azimuth_cos_rad`, `azimuth_sin_rad` (rad per cosine and sine of the azimuth).
+    """
+
+    range_m: float = 0.0
+    azimuth_rad: float = 0.0
+    time_s: float = 0.0
+    range_gain: float = 0.0
+    azimuth_cos_rad: float = 0.0
+    azimuth_sin_rad: float = 0.0
+
+    def at(self, range_m: FloatArray, azimuth_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Range (m) and azimuth (rad) errors (n,) of plots whose stamps are right, at ranges and azimuths (n,)."""
+        return (
+            self.range_m + self.range_gain * range_m,
+            self.azimuth_rad + self.azimuth_cos_rad * np.cos(azimuth_rad) + self.azimuth_sin_rad * np.sin(azimuth_rad),
+        )
+
+
 class Peak(NamedTuple):
-    """Biases that candidates agree on (measured - true; time: stamp - true), and how well.
+    """Biases that candidates agree on, and how well.
 
     `score` is the sum over tracks of how well the best target explains the whole track (0 to 1 each); `tracks` counts those
     that are explained at least by half.
     """
 
-    range_m: float
-    azimuth_rad: float
-    time_s: float
+    bias: Bias
     score: float
     tracks: int
 
 
-NO_PEAK = Peak(0.0, 0.0, 0.0, 0.0, 0)
+NO_PEAK = Peak(Bias(), 0.0, 0)
+# As large as range gain (m/m) and eccentricity (rad) may get; their prior sd is a quarter of that.
+_BENDS = (0.015, float(np.radians(2.0)), float(np.radians(2.0)))
 
 
-def residuals(c: Candidates, range_bias_m: float, azimuth_bias_rad: float, late_s: float) -> tuple[FloatArray, FloatArray]:
+def residuals(c: Candidates, bias: Bias) -> tuple[FloatArray, FloatArray]:
     """What is left of the range (m) and azimuth (rad) errors (m,) once the biases are taken off.
 
-    A plot stamped `late_s` late shows the target where it was that much earlier, p - v late_s, hence error = bias - rate
-    late_s.
+    A plot stamped late by t shows the target where it was that much earlier, p - v t, hence error = bias - rate t.
     """
+    range_bias, azimuth_bias = bias.at(c.range_m, c.azimuth_rad)
     return (
-        c.range_error_m + late_s * c.range_rate_mps - range_bias_m,
-        c.azimuth_error_rad + late_s * c.azimuth_rate_radps - azimuth_bias_rad,
+        c.range_error_m + bias.time_s * c.range_rate_mps - range_bias,
+        c.azimuth_error_rad + bias.time_s * c.azimuth_rate_radps - azimuth_bias,
     )
 
 
@@ -122,7 +148,7 @@ def search_peak(c: Candidates, window: Window, starts: int = 6) -> Peak:
     half_r, half_a = int(np.ceil(window.range_m / width_r)), int(np.ceil(window.azimuth_rad / width_a))
     shape = (2 * half_r + 3, 2 * half_a + 3)
     for late in time_steps(c, window):
-        range_left, azimuth_left = residuals(c, 0.0, 0.0, late)
+        range_left, azimuth_left = residuals(c, Bias(time_s=float(late)))
         i = np.rint(range_left / width_r).astype(np.int64) + half_r + 1
         j = np.rint(azimuth_left / width_a).astype(np.int64) + half_a + 1
         inside = (i >= 0) & (i < shape[0]) & (j >= 0) & (j < shape[1])
@@ -140,71 +166,94 @@ def search_peak(c: Candidates, window: Window, starts: int = 6) -> Peak:
     found.sort(reverse=True)
     best = NO_PEAK
     for _, range_bias, azimuth_bias, late in found[:starts]:
-        peak = refine(c, window, range_bias, azimuth_bias, late)
+        peak = refine(c, window, Bias(range_bias, azimuth_bias, late))
         if peak.score > best.score:
             best = peak
     return best
 
 
-def explained(c: Candidates, range_bias_m: float, azimuth_bias_rad: float, late_s: float, gate: float = 3.0) -> tuple[
-    FloatArray, IntArray, IntArray, IntArray
-]:  # fmt: skip
+def explained(c: Candidates, bias: Bias, gate: float = 3.0) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
     """How well each pair of track and target agrees with biases.
 
     Returns (score (p,), track (p,), target (p,), pair of each candidate (m,)); a score is the mean over the track's plots of
     1 - d² / gate², nothing beyond the gate, d in units of the vote's width.
     """
-    range_left, azimuth_left = residuals(c, range_bias_m, azimuth_bias_rad, late_s)
+    range_left, azimuth_left = residuals(c, bias)
     d2 = (range_left / c.range_sd_m) ** 2 + (azimuth_left / c.azimuth_sd_rad) ** 2
-    key = c.track * (int(c.target.max(initial=0)) + 1) + c.target
-    unique, pair = np.unique(key, return_inverse=True)
-    score: FloatArray = np.bincount(pair, c.weight * np.maximum(0.0, 1.0 - d2 / gate**2), len(unique)).astype(np.float64)
     span = int(c.target.max(initial=0)) + 1
+    unique, pair = np.unique(c.track * span + c.target, return_inverse=True)
+    score: FloatArray = np.bincount(pair, c.weight * np.maximum(0.0, 1.0 - d2 / gate**2), len(unique)).astype(np.float64)
     return score, unique // span, unique % span, pair
 
 
-def refine(c: Candidates, window: Window, range_bias_m: float, azimuth_bias_rad: float, late_s: float) -> Peak:
+def refine(c: Candidates, window: Window, start: Bias, bends: bool = False) -> Peak:
     """Sharpen a peak by robust regression on the pairs that it explains, the gate closing from 4 to 3 widths.
 
-    Errors are regressed on (1, -rate) of range and azimuth together; a weak prior as wide as the window holds what the geometry
-    cannot separate.  The result is kept inside the window.
+    Errors are regressed on (1, -rate) of range and azimuth together, with `bends` also on range gain and eccentricity; weak
+    priors hold what the geometry cannot separate.  The result is kept inside the window.
     """
-    estimate = np.array([range_bias_m, azimuth_bias_rad, late_s])
-    limit = np.array([window.range_m, window.azimuth_rad, max(window.time_s, 1e-9)])
+    limit = np.array([window.range_m, window.azimuth_rad, max(window.time_s, 1e-9), *_BENDS])
+    prior = np.array([1e-3, 1e-3, 1e-3, 16.0, 16.0, 16.0]) / limit**2
+    free = np.arange(6 if bends else 3)
+    estimate = np.array(start)
     best = NO_PEAK
     for gate in (4.0, 4.0, 3.5, 3.0, 3.0):
-        score, track, _, pair = explained(c, estimate[0], estimate[1], estimate[2], gate)
-        best = max(best, _peak(estimate, score, track), key=lambda p: p.score) if gate == 3.0 else best
+        now = Bias(*estimate.tolist())
+        score, track, _, pair = explained(c, now, gate)
+        if gate == 3.0:
+            best = max(best, _peak(now, score, track), key=lambda p: p.score)
         best_of_track = np.zeros(int(track.max(initial=-1)) + 1)
         np.maximum.at(best_of_track, track, score)
-        chosen = (score > 0.2) & (score >= best_of_track[track])
-        use = chosen[pair]
+        use = ((score > 0.2) & (score >= best_of_track[track]))[pair]
         if np.count_nonzero(use) < 3:
             break
-        left = np.stack(residuals(c.keep(use), *estimate))
-        sd = np.stack([c.range_sd_m[use], c.azimuth_sd_rad[use]])
-        scaled = left / sd
-        inside = np.sum(scaled**2, axis=0) < gate**2
+        mine = c.keep(use)
+        left = residuals(mine, now)
+        d2 = (left[0] / mine.range_sd_m) ** 2 + (left[1] / mine.azimuth_sd_rad) ** 2
         # Tukey's biweight in the joint distance: points at the gate's edge say nothing.
-        w = c.weight[use] * np.where(inside, (1 - np.sum(scaled**2, axis=0) / gate**2) ** 2, 0.0)
-        rows = np.stack([np.ones(len(w)), -c.range_rate_mps[use]]), np.stack([np.ones(len(w)), -c.azimuth_rate_radps[use]])
-        normal, right = np.diag(1e-3 / limit**2), -1e-3 * estimate / limit**2
-        for k in range(2):
-            at = np.ix_([k, 2], [k, 2])
-            normal[at] += (rows[k] * (w / sd[k] ** 2)) @ rows[k].T
-            right[[k, 2]] += (rows[k] * (w / sd[k] ** 2)) @ left[k]
-        step = np.linalg.solve(normal * np.outer(limit, limit), right * limit) * limit
+        w = mine.weight * np.where(d2 < gate**2, (1 - d2 / gate**2) ** 2, 0.0)
+        one, nil = np.ones(len(w)), np.zeros(len(w))
+        rows = (
+            np.stack([one, nil, -mine.range_rate_mps, mine.range_m, nil, nil]),
+            np.stack([nil, one, -mine.azimuth_rate_radps, nil, np.cos(mine.azimuth_rad), np.sin(mine.azimuth_rad)]),
+        )
+        normal, right = np.diag(prior), -prior * estimate
+        for row, error, sd in zip(rows, left, (mine.range_sd_m, mine.azimuth_sd_rad), strict=True):
+            normal += (row * (w / sd**2)) @ row.T
+            right += (row * (w / sd**2)) @ error
+        scaled = (normal * np.outer(limit, limit))[np.ix_(free, free)]
+        step = np.zeros(6)
+        step[free] = np.linalg.solve(scaled, (right * limit)[free]) * limit[free]
         estimate = np.clip(estimate + step, -limit, limit)
-    score, track, _, _ = explained(c, *estimate)
-    return max(best, _peak(estimate, score, track), key=lambda p: p.score)
+    now = Bias(*estimate.tolist())
+    score, track, _, _ = explained(c, now)
+    return max(best, _peak(now, score, track), key=lambda p: p.score)
 
 
-def _peak(estimate: FloatArray, score: FloatArray, track: IntArray) -> Peak:
+def widened(c: Candidates, width: float) -> Candidates:
+    """The candidates with votes `width` times as wide."""
+    return c._replace(range_sd_m=width * c.range_sd_m, azimuth_sd_rad=width * c.azimuth_sd_rad)
+
+
+def bent(c: Candidates, window: Window, start: Bias, width: float) -> Peak:
+    """Follow a peak of votes `width` wide down to their proper width, with range gain and eccentricity set free.
+
+    Such errors spread the votes of constant biases; the wide peak shows where they are, and each narrower one shows them
+    better.
+    """
+    bias = start
+    for w in (10.0, 5.0, 3.0, 2.0, 1.0):
+        if w <= width:
+            for _ in range(3):
+                bias = refine(widened(c, w), window, bias, bends=True).bias
+    score, track, _, _ = explained(c, bias)
+    return _peak(bias, score, track)
+
+
+def _peak(bias: Bias, score: FloatArray, track: IntArray) -> Peak:
     best_of_track = np.zeros(int(track.max(initial=-1)) + 1)
     np.maximum.at(best_of_track, track, score)
-    return Peak(
-        float(estimate[0]), float(estimate[1]), float(estimate[2]), float(best_of_track.sum()), int(np.sum(best_of_track > 0.5))
-    )
+    return Peak(bias, float(best_of_track.sum()), int(np.sum(best_of_track > 0.5)))
 
 
 def is_significant(peak: Peak, spoilt: list[Peak], tracks: int) -> bool:

@@ -14,9 +14,10 @@ from .._types import AnyArray, BoolArray, FloatArray, IntArray
 from ..errors import InputError, NothingToDo
 from ..model import Fixes, Flag, Plots, Sensor
 from . import identity
-from .hough import Candidates, Window, residuals, within
+from .hough import Bias, Candidates, Window, residuals, within
 from .settings import AssociationSettings, Assumed
 
+NO_BIAS = Bias()
 # Plots are compared with the reference in pieces of this many, which bounds the memory.
 _CHUNK = 400_000
 # Over this long a target must have moved on average, so that the noise of a reference is not taken for motion.
@@ -89,7 +90,7 @@ class Units(NamedTuple):
 class Compared(NamedTuple):
     """Plots against targets (m,): errors measured - reference at the stamp (or `late_s` before), rates, sd, what is valid.
 
-    `elevation_rad` and `ground_m` are the reference's as the radar sees it; `position`, `velocity` are the reference's, ECEF.
+    `range_m`, `azimuth_rad` and `ground_m` (horizontal distance) are the reference's as the radar sees it.
     """
 
     range_error_m: FloatArray
@@ -98,6 +99,8 @@ class Compared(NamedTuple):
     azimuth_rate_radps: FloatArray
     range_sd_m: FloatArray
     azimuth_sd_rad: FloatArray
+    range_m: FloatArray
+    azimuth_rad: FloatArray
     ground_m: FloatArray
     speed_mps: FloatArray
     valid: BoolArray
@@ -136,8 +139,8 @@ class Scene:
         `late_s` moves the reference back along its own motion, p - v late + a late² / 2.
         """
         n = len(row)
-        e = np.empty((8, n))
-        out = Compared(e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7], np.zeros(n, bool))
+        e = np.empty((10, n))
+        out = Compared(e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7], e[8], e[9], np.zeros(n, bool))
         shift = np.broadcast_to(np.asarray(shift_s, np.float64), (n,))
         for at in range(0, n, _CHUNK):
             piece = slice(at, at + _CHUNK)
@@ -159,13 +162,16 @@ class Scene:
         variance = np.nan_to_num(np.einsum("ijj->i", s.covariance) / 3.0, nan=50.0**2, posinf=50.0**2) + a.extent_m**2
         # Over the antenna the azimuth says nothing; beyond a radian its sd has no meaning.
         azimuth_sd = np.minimum(np.sqrt(a.azimuth_sd_rad**2 + a.unmodelled_rad**2 + variance / ground**2), 1.0)
+        azimuth = np.arctan2(enu[:, 0], enu[:, 1])
         return Compared(
             self.plots.range_m[row] - distance,
-            measure.wrap_rad(self.azimuth_rad[row] + turn_rad - np.arctan2(enu[:, 0], enu[:, 1])),
+            measure.wrap_rad(self.azimuth_rad[row] + turn_rad - azimuth),
             range_rate,
             azimuth_rate,
             np.sqrt(a.range_sd_m**2 + (a.unmodelled_per_m * distance) ** 2 + variance),
             azimuth_sd,
+            distance,
+            azimuth,
             ground,
             np.sqrt(np.einsum("ij,ij->i", velocity, velocity)),
             valid,
@@ -177,7 +183,7 @@ class Scene:
         pair: tuple[IntArray, IntArray],
         *,
         window: Window | None,
-        centre: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        centre: Bias = NO_BIAS,
         margin: float = 3.0,
         shift_s: float = 0.0,
         cycle_s: tuple[float, float] | None = None,
@@ -193,7 +199,7 @@ class Scene:
         if window is not None and len(unit) * self.settings.points > 20_000:
             # Four points of a pair tell whether it is worth the rest.
             near = self._points(_thin(units, 4), unit, target, shift_s, cycle_s, turn_rad)
-            left = residuals(near, *centre)
+            left = residuals(near, centre)
             near = near.keep(within(near._replace(range_error_m=left[0], azimuth_error_rad=left[1]), window, margin))
             span = int(target.max(initial=0)) + 1
             keep = np.isin(unit * span + target, np.unique(near.track * span + near.target))
@@ -224,12 +230,12 @@ class Scene:
             ok = c.valid if self.assumed.min_speed_mps <= 0 else c.valid & (c.speed_mps >= 0.5 * self.assumed.min_speed_mps)
             found = Candidates(
                 u, j, units.weight[point], c.range_error_m, c.azimuth_error_rad, c.range_rate_mps, c.azimuth_rate_radps,
-                c.range_sd_m, c.azimuth_sd_rad,
+                c.range_sd_m, c.azimuth_sd_rad, c.range_m, c.azimuth_rad,
             )  # fmt: skip
             parts.append(found.keep(ok))
         if not parts:
             empty_i, empty_f = np.empty(0, np.int64), np.empty(0)
-            return Candidates(empty_i, empty_i, empty_f, empty_f, empty_f, empty_f, empty_f, empty_f, empty_f)
+            return Candidates(empty_i, empty_i, *[empty_f] * 9)
         return Candidates(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def fits_surface(self, row: IntArray, target: IntArray) -> tuple[BoolArray, BoolArray]:

@@ -10,7 +10,13 @@ from .. import align, measure
 from .._types import BoolArray, FloatArray, IntArray
 from . import identity
 from .coarse import CoarseBias
-from .scene import Scene
+from .scene import Compared, Scene
+
+
+def left_over(c: Compared, bias: CoarseBias) -> tuple[FloatArray, FloatArray]:
+    """Range (m) and azimuth (rad) errors (m,) once the biases are taken off; the stamps were repaired by the comparison."""
+    range_bias, azimuth_bias = bias.errors.at(c.range_m, c.azimuth_rad)
+    return c.range_error_m - range_bias, measure.wrap_rad(c.azimuth_error_rad - azimuth_bias)
 
 
 def nearest(scene: Scene, rows: IntArray, bias: CoarseBias) -> IntArray:
@@ -42,7 +48,8 @@ def nearest(scene: Scene, rows: IntArray, bias: CoarseBias) -> IntArray:
     def place(distance: FloatArray, azimuth: FloatArray, at: FloatArray) -> FloatArray:
         return np.stack([distance * np.sin(azimuth), distance * np.cos(azimuth), slow * (at - first)], axis=1)
 
-    tree = cKDTree(place(polar[:, 0] + bias.range_m, polar[:, 1] + bias.azimuth_rad, time + bias.time_s))
+    errors = bias.errors.at(polar[:, 0], polar[:, 1])
+    tree = cKDTree(place(polar[:, 0] + errors[0], polar[:, 1] + errors[1], time + bias.time_s))
     a, farthest, gate = scene.assumed, float(plots.range_m[rows].max()), scene.settings.gate_sd
     bound = (
         gate * np.hypot(a.range_sd_m, farthest * (a.azimuth_sd_rad + a.unmodelled_rad)) + gate * a.extent_m + a.speed_mps * step
@@ -60,8 +67,8 @@ def nearest(scene: Scene, rows: IntArray, bias: CoarseBias) -> IntArray:
         fresh = np.flatnonzero(hit & ~np.any(done[:, :k] == j[:, None], axis=1))
         done[:, k] = j
         c = scene.compare(rows[fresh], j[fresh], late_s=bias.time_s)
-        d2 = ((c.range_error_m - bias.range_m) / c.range_sd_m) ** 2
-        d2 += (measure.wrap_rad(c.azimuth_error_rad - bias.azimuth_rad) / c.azimuth_sd_rad) ** 2
+        along, across = left_over(c, bias)
+        d2 = (along / c.range_sd_m) ** 2 + (across / c.azimuth_sd_rad) ** 2
         theirs = reference.names.value[identity.MODE_3A][j[fresh]]
         d2 += np.where((code[fresh] >= 0) & (theirs >= 0) & (code[fresh] != theirs), 9.0, 0.0)
         better = c.valid & (d2 < best[fresh])
