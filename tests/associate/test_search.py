@@ -75,10 +75,10 @@ class TestRightPairs:
         assert np.mean(error) == pytest.approx(900, abs=4 * 90 / np.sqrt(len(error)))
         assert np.std(error) == pytest.approx(90, rel=0.05)
 
-    @pytest.mark.parametrize("identity", [True, False])
-    def test_large_gain_and_eccentricity(self, identity):
+    @pytest.mark.parametrize(("identity", "numbers"), [(True, True), (False, True), (False, False)])
+    def test_large_gain_and_eccentricity(self, identity, numbers):
         """3 m/km of range gain and half a degree of eccentricity: all of the coverage is paired, not just one sector."""
-        s = scene(seed=12, aircraft=50, identity=identity, unknown=0)
+        s = scene(seed=12, aircraft=50, identity=identity, numbers=numbers, unknown=0)
         distance, azimuth = s.plots.range_m, s.plots.azimuth_rad
         bent = azimuth + np.radians(0.5) * np.cos(azimuth)
         s.plots = s.plots.replace(range_m=1.003 * distance, azimuth_rad=bent % (2 * np.pi))

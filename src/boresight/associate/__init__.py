@@ -209,12 +209,19 @@ def _one_sensor(
             break
         # Large gain, eccentricity, or biases at the window's edge are found in steps: what they now explain is looked at again.
         decided, by = _decide(scene, tracks, names, bias)
+    alone = tracks.alone
+    nearest = singles.nearest(scene, alone, bias)
+    if np.count_nonzero(decided.target >= 0) < settings.min_tracks:
+        for _ in range(6):
+            before, bias = bias, _refined_alone(scene, alone, nearest, bias)
+            if not _moved(scene, before, bias):
+                break
+            nearest = singles.nearest(scene, alone, bias)
     said += clock_words(sensor, bias)
     target, track = np.full(len(plots), -1, np.int64), np.full(len(plots), -1, np.int64)
     target[tracks.order] = np.repeat(decided.target, tracks.length)
     track[tracks.order] = first + tracks.member()
-    alone = tracks.alone
-    target[alone] = singles.nearest(scene, alone, bias)
+    target[alone] = nearest
     reason[(reason == _USED) & (target < 0)] = _UNASSIGNED
     d2 = _gate(scene, reason, target, bias)
     alone = alone[reason[alone] == _USED]
@@ -381,17 +388,30 @@ def _height_cost(scene: Scene, units: Units, track: IntArray, target: IntArray) 
 
 def _refined(scene: Scene, tracks: tracklets.Tracklets, decided: Decision, bias: CoarseBias) -> CoarseBias:
     """The biases again, from the assigned pairs alone: the gate's centre must not lean on what the search's cells left open."""
-    found = np.flatnonzero(decided.target >= 0)
-    if not len(found):
+    which = farthest_travelled(scene, tracks, np.flatnonzero(decided.target >= 0))
+    if not len(which):
         return bias
-    which = farthest_travelled(scene, tracks, found)
     units = units_of(*tracklets.sample(tracks, scene.settings.points, which))
-    c = scene.candidates(units, (which, decided.target[which]), window=None)
+    return _fitted(scene, units, (which, decided.target[which]), bias)
+
+
+def _refined_alone(scene: Scene, rows: IntArray, target: IntArray, bias: CoarseBias) -> CoarseBias:
+    """The same from plots that were paired one by one, `rows` and `target` (m,)."""
+    found = np.flatnonzero(target >= 0)
+    some = found[np.linspace(0, len(found) - 1, min(len(found), 3000)).astype(np.int64)]
+    if not len(some):
+        return bias
+    number = np.arange(len(some))
+    return _fitted(scene, units_of(number, rows[some]), (number, target[some]), bias)
+
+
+def _fitted(scene: Scene, units: Units, pair: tuple[IntArray, IntArray], bias: CoarseBias) -> CoarseBias:
+    c = scene.candidates(units, pair, window=None)
     if not len(c.track):
         return bias
     wide = Window(4 * scene.window.range_m, 4 * scene.window.azimuth_rad, 1.2 * scene.window.time_s)
     peak = hough.refine(c, wide, bias.errors, bends=True)
-    if peak.tracks < 0.5 * len(which):
+    if peak.tracks < 0.5 * len(pair[0]):
         return bias
     return msgspec.structs.replace(bias, **peak.bias._asdict())
 
