@@ -31,7 +31,7 @@ _ORDER = (
 _EXTENT = ("along_heading", "along_heading_per_length")
 # Plots that the robust start is found on, and short blocks that the variance components are estimated on.
 _START_PLOTS = 60_000
-_VARIANCE_BLOCKS = 4_000
+_VARIANCE_BLOCKS = 1_500
 _BATCH_BLOCKS = 2_000
 _FOLDS = 5
 
@@ -40,10 +40,11 @@ class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Settings of the joint robust least squares.
 
     A pair keeps its full weight up to `soft_sd` standard deviations and has none beyond `hard_sd`.  Two terms whose estimates
-    correlate by `max_correlation` or more cannot be told apart; nor can a term of whose column less than `rank_tolerance` remains
-    once the others are taken out.  `short_block_s` and `long_block_s` are the times over which slowly wandering errors are
-    taken as constant (0: by the kind of sensor).  Where weighting by what a target's plots share changes the result by more than
-    chance, at the probability `agreement`, the plots are weighted each for itself.
+    correlate by `max_correlation` or more cannot be told apart (unless the later one's sd is below the part `well_known` of its
+    `prior_sd`: range bias and gain of far targets correlate, and are both known); nor can a term of whose column less than
+    `rank_tolerance` remains once the others are taken out.  `short_block_s` and `long_block_s` are the times over which slowly
+    wandering errors are taken as constant (0: by the kind of sensor).  Where weighting by what a target's plots share changes
+    the result by more than chance, at the probability `agreement`, the plots are weighted each for itself.
     """
 
     soft_sd: float = 3.0
@@ -52,6 +53,7 @@ class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     rank_tolerance: float = 1e-2
     short_block_s: float = 0.0
     long_block_s: float = 0.0
+    well_known: float = 0.02
     agreement: float = 0.005
     max_iterations: int = 40
 
@@ -65,6 +67,7 @@ def check_settings(settings: LeastSquares) -> None:
         ("rank_tolerance", 0 < settings.rank_tolerance < 1, "Give a share within 0 … 1."),
         ("short_block_s", settings.short_block_s >= 0, "Give seconds, or 0 for the default."),
         ("long_block_s", settings.long_block_s >= 0, "Give seconds, or 0 for the default."),
+        ("well_known", settings.well_known >= 0, "Give a part of the prior sd, or 0 to go by the correlation alone."),
         ("agreement", 0 <= settings.agreement <= 1, "Give a probability within 0 … 1."),
         ("max_iterations", settings.max_iterations >= 1, "Give at least 1."),
     ):
@@ -385,18 +388,19 @@ def _reference_share(seen: Observed, terms: tuple[Term, ...], value: FloatArray)
         x = (stated[pairs, k] + stated[pairs + 1, k]) / 2
         if len(y) < 20 or not x.any():
             continue
+        # Near targets make the stated variance of the azimuth uneven: each difference is weighed by its own expected size.
         typical = float(np.median(y)) / 0.455
-        good = y <= 12 * typical
-        y, x = y[good], x[good]
-        level = float(y.mean())
-        if level <= 0 or x.mean() <= 0:
+        expected = max(typical - float(np.median(x)), 0.1 * typical) + x
+        if not typical > 0:
             continue
-        limit = min(limit, 0.9 * level / float(x.mean()))
-        w = 1.0 / (2 * level**2)  # the variance of half a squared difference
-        xc = x - x.mean()
+        good = y <= 15 * expected
+        y, x, w = y[good], x[good], 0.5 / expected[good] ** 2
+        level, stated_level = float(w @ y / w.sum()), float(w @ x / w.sum())
+        if stated_level > 0:
+            limit = min(limit, 0.9 * level / stated_level)
         # Successive residuals of one target are alike in many ways: count a tenth of them.
-        top += 0.1 * w * float(xc @ (y - level))
-        bottom += 0.1 * w * float(xc @ xc)
+        top += 0.1 * float((w * (x - stated_level)) @ (y - level))
+        bottom += 0.1 * float((w * (x - stated_level)) @ (x - stated_level))
     share = (top + 4.0) / (bottom + 4.0)
     return float(np.clip(share, 0.0, limit))
 
@@ -507,31 +511,37 @@ def _iterate(
     subset = np.arange(g)
     if total_blocks > _VARIANCE_BLOCKS:
         subset = np.arange(0, g, int(np.ceil(total_blocks / _VARIANCE_BLOCKS)))
-    for number in range(6):
-        at = state.value / prior_sd
-        state = replace(state, spread=_spread(seen, layout, terms, state, start.spread))
+    for number in range(10):
+        at, products_noise = state.value / prior_sd, state.variances.noise
+        state = replace(state, spread=_spread(seen, layout, terms, state))
         products = _products(seen, layout, terms, state, settings, subset)
         variances = mixed.estimate(products, state.variances, prior, at, guess, steps=60 if number == 0 else 25)
-        reduced = (
-            mixed.reduce(products, variances)
-            if len(subset) == g
-            else _all_reduced(seen, layout, terms, replace(state, variances=variances), settings, np.empty(len(seen)))
-        )
+        reduced = mixed.reduce(products, variances)
         solution = mixed.solve(reduced.terms, prior, at)
         state = _State(
             state.value + solution.value * prior_sd,
             variances,
             state.reference_share,
             state.spread,
-            _trust(reduced, solution, state.trust, settings),
+            _trust(reduced, solution, state.trust, subset, settings),
         )
-        if number >= 2 and np.all(np.abs(solution.value) <= 0.02 * np.sqrt(np.diag(solution.covariance))):
+        settled = np.all(np.abs(variances.noise / products_noise - 1) <= 0.02)
+        if number >= 2 and settled and np.all(np.abs(solution.value) <= 0.02 * np.sqrt(np.diag(solution.covariance))):
             break
     weight = np.empty(len(seen))
-    return state, _all_reduced(seen, layout, terms, state, settings, weight), weight
+    reduced = _all_reduced(seen, layout, terms, state, settings, weight)
+    if len(subset) < g:
+        # The others' trust was not known yet; it scales what they say.
+        trust = _trust(reduced, mixed.solve(reduced.terms, prior, state.value / prior_sd), state.trust, np.arange(g), settings)
+        more, w = trust / state.trust, reduced.effects.shape[1]
+        effects = reduced.effects.copy()
+        effects[:, :, w:] *= np.sqrt(more)[:, None, None]
+        reduced = mixed.Reduced(reduced.terms * more[:, None, None], effects)
+        state = replace(state, trust=trust)
+    return state, reduced, weight
 
 
-def _spread(seen: Observed, layout: _Layout, terms: tuple[Term, ...], state: _State, otherwise: FloatArray) -> FloatArray:
+def _spread(seen: Observed, layout: _Layout, terms: tuple[Term, ...], state: _State) -> FloatArray:
     """The median size of each channel's residuals, in units of what the model expects of one plot (1 if it were normal).
 
     Whole segments of a target can be wrong (multilateration near a hangar).  They widen the variance components, and would
@@ -546,14 +556,16 @@ def _spread(seen: Observed, layout: _Layout, terms: tuple[Term, ...], state: _St
         sizes.append(np.abs(r[:, :c]) / np.sqrt(total))
     size = np.concatenate(sizes)
     out = np.array([1.4826 * np.median(s[np.isfinite(s)]) if np.isfinite(s).any() else 1.0 for s in size.T])
-    return np.clip(out, 0.25, 2.0)
+    return np.asarray(np.maximum(out, 0.25))
 
 
-def _trust(reduced: mixed.Reduced, solution: mixed.Solution, old: FloatArray, settings: LeastSquares) -> FloatArray:
+def _trust(
+    reduced: mixed.Reduced, solution: mixed.Solution, old: FloatArray, targets: IntArray, settings: LeastSquares
+) -> FloatArray:
     """The weight (G,) of each target: one whose own effects are far from what the others have (a wrong pairing, a broken
     transponder) loses it.  With fewer than 8 targets there are no others to tell by."""
     w = reduced.effects.shape[1]
-    if len(old) < 8:
+    if len(targets) < 8:
         return old
     p = len(solution.value)
     inner = reduced.effects[:, :, :w]
@@ -563,10 +575,12 @@ def _trust(reduced: mixed.Reduced, solution: mixed.Solution, old: FloatArray, se
     rank = np.maximum(np.linalg.matrix_rank(inner / scale[:, :, None] / scale[:, None, :], tol=1e-6, hermitian=True), 1)
     score = score / scale
     # The score was made with the square root of the old trust on its residual.
-    square = np.einsum("gi,gij,gj->g", score, inverse, score) / np.maximum(old, 1e-12)
+    square = np.einsum("gi,gij,gj->g", score, inverse, score) / np.maximum(old[targets], 1e-12)
     # Chi-squared to normal (Wilson and Hilferty 1931).
     normal = ((square / rank) ** (1 / 3) - (1 - 2 / (9 * rank))) / np.sqrt(2 / (9 * rank))
-    return np.asarray(np.maximum(_robust(np.maximum(normal, 0.0), settings), 1e-6))
+    new = old.copy()
+    new[targets] = np.maximum(_robust(np.maximum(normal, 0.0), settings), 1e-6)
+    return new
 
 
 def _rank_deficient(
@@ -582,8 +596,12 @@ def _rank_deficient(
         present = np.isfinite(r[:, :c])
         u = np.where(present, r[:, :c], 0.0) / np.sqrt(total)
         w = _row_weights(u / state.spread, present, settings, convex=False) / total
-        gram += np.einsum("nki,nk,nkj->ij", x[:, :c], w, x[:, :c], optimize=True)
-    return rank_check(gram, terms, settings)
+        gram += np.einsum("nki,nk,nkj->ij", x[:, :c], w / state.spread**2, x[:, :c], optimize=True)
+    bad = rank_check(gram, terms, settings)
+    if bad is not None:
+        return bad
+    prior = np.array([t.prior_sd for t in terms])
+    return pair_check(np.asarray(np.linalg.inv(gram * np.outer(prior, prior)), np.float64), terms, settings)
 
 
 def rank_check(gram: FloatArray, terms: Sequence[Term], settings: LeastSquares) -> Dropped | None:
@@ -636,10 +654,16 @@ def pair_check(covariance: FloatArray, terms: Sequence[Term], settings: LeastSqu
     """The term to leave out by the covariance (p, p) of the estimates, in units of the terms' prior sd and without the prior."""
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = np.abs(covariance / sd[:, None] / sd)
-    np.fill_diagonal(correlation, 0.0)
-    if correlation.size and correlation.max() >= settings.max_correlation:
-        i, j = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
-        keep, drop = sorted((int(i), int(j)), key=lambda k: _rank_of(terms[k]))
+    close = [
+        (correlation[i, j], *sorted((i, j), key=lambda k: _rank_of(terms[k])))
+        for i in range(len(terms))
+        for j in range(i)
+        if correlation[i, j] >= settings.max_correlation
+    ]
+    # A pair is separable all the same where the later term is known to a small part of what it may plausibly be.
+    close = [(r, keep, drop) for r, keep, drop in close if sd[drop] > settings.well_known]
+    if close:
+        _, keep, drop = max(close)
         ratio = -covariance[keep, drop] / covariance[drop, drop] * terms[keep].prior_sd / terms[drop].prior_sd
         return Dropped(
             terms[drop].name,
@@ -699,11 +723,15 @@ def _finish(
     plain_at = start.value / prior_sd
     plain_step = mixed.solve(plain.terms, prior, plain_at).value
     plain_honest = mixed.honest_covariance(plain, prior, plain_step)
-    chance = _agreement((plain_at + plain_step) - (at + step), plain_honest, honest)
+    pulls = [
+        (q.terms[:, :p, p] - q.terms[:, :p, :p] @ d) @ h.bread
+        for q, d, h in ((plain, plain_step, plain_honest), (scores, step, honest))
+    ]
+    chance = _agreement((plain_at + plain_step) - (at + step), plain_honest, honest, pulls[0] - pulls[1])
     if chance < settings.agreement:
         notes.append(
-            "the errors that plots of one target share are not as the model has them (weighting by them changes the result by more "
-            f"than chance, p = {chance:.1g}): every plot counts for itself, and the sd follow the targets' scatter"
+            "the errors that plots of one target share are not as the model has them (weighting by them changes the result by "
+            f"more than chance, p = {chance:.1g}): every plot counts for itself, and the sd follow the targets' scatter"
         )
         scores, honest, influence, at, step, weight = plain, plain_honest, plain_influence, plain_at, plain_step, plain_weight
         trusted = start.trust
@@ -756,11 +784,12 @@ def _plain(
     return mixed.Scores(*(np.concatenate(q) for q in zip(*parts, strict=True))), np.concatenate(influences)
 
 
-def _agreement(difference: FloatArray, plain: mixed.Honest, weighted: mixed.Honest) -> float:
-    """The probability that two estimates differ so much by chance, where the model holds (Hausman 1978).
+def _agreement(difference: FloatArray, plain: mixed.Honest, weighted: mixed.Honest, pulls: FloatArray) -> float:
+    """The probability that two estimates differ so much by chance (Hausman 1978).
 
-    The efficient estimate is uncorrelated with its difference from any other, so the difference's covariance is that of the
-    covariances; small eigenvalues, where the two are all but equal, are bounded.
+    Under the model the efficient estimate is uncorrelated with its difference from any other, so the difference's covariance is
+    the difference of the covariances (small eigenvalues, where the two are all but equal, are bounded).  What each target
+    pulls it by, `pulls` (G, p), gives the same without the model, and outweighs it from some thirty targets on.
     """
     from scipy.special import fdtrc
 
@@ -768,8 +797,11 @@ def _agreement(difference: FloatArray, plain: mixed.Honest, weighted: mixed.Hone
     root = np.linalg.cholesky(plain.model * plain.scale)
     inner = np.linalg.solve(root, np.linalg.solve(root, weighted.model * weighted.scale).T)
     size, axes = np.linalg.eigh(np.eye(p) - (inner + inner.T) / 2)
-    off = axes.T @ np.linalg.solve(root, difference)
-    square = float((off**2 / np.clip(size, 0.1, None)).sum())
+    expected = (axes * np.clip(size, 0.1, None)) @ axes.T
+    pulls = np.linalg.solve(root, pulls.T)
+    spread = (expected * 30 + pulls @ pulls.T * plain.targets) / (30 + plain.targets)
+    off = np.linalg.solve(root, difference)
+    square = float(off @ np.linalg.solve(spread, off))
     return float(fdtrc(p, max(plain.targets - 1.0, 2.0), square / p))
 
 

@@ -310,7 +310,8 @@ def honest_covariance(scores: Scores, prior: FloatArray, step: FloatArray) -> Ho
     pulled = hat @ scores.meat
     expected = scores.meat - pulled - np.swapaxes(pulled, 1, 2) + hat @ meat @ np.swapaxes(hat, 1, 2)
     expected = into @ expected @ into.T
-    share = np.einsum("gii->g", into @ scores.meat @ into.T)
+    shares = into @ scores.meat @ into.T
+    share = np.einsum("gii->g", shares)
     targets = float(share.sum() ** 2 / max((share**2).sum(), 1e-300))
     whole = expected.sum(axis=0)
     size, axes = np.linalg.eigh((whole + whole.T) / 2)
@@ -318,10 +319,11 @@ def honest_covariance(scores: Scores, prior: FloatArray, step: FloatArray) -> Ho
     grow = (axes / np.sqrt(np.clip(size, 0.05, None))) @ axes.T
     off, expected = off @ grow, grow @ expected @ grow
     found = off.T @ off
-    trace = np.einsum("gii->g", expected)
-    scale = float(np.trace(found) / max(trace.sum(), 1e-300))
+    whole = expected.sum(axis=0)
+    scale = float(np.trace(found) / max(np.trace(whole), 1e-9 * p))
     scale = (targets * scale + _SCALE_TARGETS) / (targets + _SCALE_TARGETS)
-    chance = scale**2 * float((trace**2).sum() + (expected**2).sum())
+    found = found + scale * (np.eye(p) - whole)
+    chance = scale**2 * float((share**2).sum() + (shares**2).sum())
     apart = float(((found - scale * np.eye(p)) ** 2).sum())
     follow = max(0.0, 1.0 - chance / apart) if apart > 0 else 0.0
     shape = (1 - follow) * scale * np.eye(p) + follow * found

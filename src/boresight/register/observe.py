@@ -116,7 +116,7 @@ def observe(pairs: Pairs, rows: IntArray, sensor: Sensor, epoch_s: float) -> Obs
     key = _cluster_key(pairs)[rows]
     order = np.lexsort((pairs.plot[rows], pairs.plots.time_s[rows], key))
     rows, key = rows[order], key[order]
-    own = pairs[rows]
+    own = pairs if np.array_equal(rows, np.arange(len(pairs))) else pairs[rows]
     site, rotation = site_of(sensor)
     enu = rotate(rotation, own.position - site)
     variance = np.zeros((len(rows), 3))
