@@ -160,6 +160,7 @@ def _correct_rows(
                 f"{' or no '.join(sorted(term.needs & {'heading', 'length'}))}"
             )
     measured = np.stack([plots.range_m[rows], plots.azimuth_rad[rows] + north, plots.elevation_rad[rows]], axis=1)
+    measured = np.where(np.isfinite(measured), measured, np.nan)
     has_elevation = np.isfinite(measured[:, 2])
     height = np.where(np.isfinite(plots.height_m[rows]), plots.height_m[rows], plots.pressure_altitude_m[rows])
     still = np.zeros((len(time), 3))
