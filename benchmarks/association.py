@@ -2,7 +2,7 @@
 
     python benchmarks/association.py [SEEDS]
 
-The scene is `boresight.simulate.association_scene`: 90 aircraft within 100 km, a primary radar with track numbers and no
+The scene is `boresight.simulation.association_scene`: 90 aircraft within 100 km, a primary radar with track numbers and no
 identity, azimuth biases to 2.8°, a fifth of the aircraft without ADS-B.  Every declared pair of plot and target is counted
 against the simulator's truth, whatever its track.  Claims: at least 98 % of the radar tracks that have a reference go to it,
 at most 1 % of the declared pairs are wrong.
@@ -15,10 +15,10 @@ import time
 
 import numpy as np
 
-from boresight.align import targets_of
-from boresight.associate import Association, search
-from boresight.simulate import Simulated, simulate
-from boresight.simulate.demo import association_scene
+from boresight.alignment import targets_of
+from boresight.association import Association, search
+from boresight.simulation import Simulated, simulate
+from boresight.simulation.demo import association_scene
 
 
 def score(run: Simulated, found: Association) -> dict[str, float]:

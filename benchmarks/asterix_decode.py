@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from boresight.read.asterix import DecodeState, decode
+from boresight.reading.asterix import DecodeState, decode
 
 RECORDING = "bcn-2023/230502-est-080001_BCN_60MN_08_09.ast"
 

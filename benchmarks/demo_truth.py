@@ -24,7 +24,7 @@ import numpy as np
 
 from boresight import flow
 from boresight.model import load_sensors
-from boresight.simulate.demo import write_demo
+from boresight.simulation.demo import write_demo
 from boresight.terms import TERMS
 
 

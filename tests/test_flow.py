@@ -38,9 +38,7 @@ def test_demo_finds_the_true_errors(tmp_path: Path) -> None:
 
 def test_same_seed_same_bytes(tmp_path: Path) -> None:
     a, b, c = (write_demo(tmp_path / name, seed) for name, seed in (("a", 1), ("b", 1), ("c", 2)))
-    for first, second, third in zip(
-        [*a.plots, *a.reference], [*b.plots, *b.reference], [*c.plots, *c.reference], strict=True
-    ):
+    for first, second, third in zip([*a.plots, *a.reference], [*b.plots, *b.reference], [*c.plots, *c.reference], strict=True):
         assert first.read_bytes() == second.read_bytes()
         assert first.read_bytes() != third.read_bytes()
 
@@ -72,7 +70,7 @@ def test_recordings_of_other_days_are_refused(scene, tmp_path: Path) -> None:  #
     _, files = scene
     import datetime
 
-    from boresight.align import overlap
+    from boresight.alignment import overlap
     from boresight.reading import read
 
     radar = read(files.plots[0], date=files.date)

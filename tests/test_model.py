@@ -44,7 +44,9 @@ def test_columns_of_other_lengths_are_refused_by_name() -> None:
 def test_frames_round_trip_and_name_unknown_columns() -> None:
     plots = Plots(time_s=[1.0, 2.0], range_m=[3.0, np.nan], mode_s=[5, -1])
     again = Plots.from_frame(dict(plots._flat()))
-    assert [np.array_equal(a, b, equal_nan=True) for (_, a), (_, b) in zip(plots._flat(), again._flat(), strict=True)].count(False) == 0
+    assert [np.array_equal(a, b, equal_nan=True) for (_, a), (_, b) in zip(plots._flat(), again._flat(), strict=True)].count(
+        False
+    ) == 0
     flat = dict(Pairs(plot=[1, 2], plots=plots, covariance=np.arange(18.0).reshape(2, 3, 3))._flat())
     assert flat["covariance_5"].tolist() == [5.0, 14.0]
     assert flat["plots_mode_s"].tolist() == [5, -1]

@@ -29,6 +29,8 @@ def test_unknown_name_is_an_attribute_error() -> None:
 @pytest.mark.parametrize("statement", ["import boresight", "import boresight.cli"])
 def test_import_is_light(statement: str) -> None:
     """Neither the package nor its command line may pull in what takes a user's time: numba, scipy, matplotlib, duckdb."""
-    code = f"{statement}; import sys; print([m for m in ('numba', 'scipy', 'matplotlib', 'duckdb', 'jinja2') if m in sys.modules])"
+    code = (
+        f"{statement}; import sys; print([m for m in ('numba', 'scipy', 'matplotlib', 'duckdb', 'jinja2') if m in sys.modules])"
+    )
     out = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
     assert out.strip() == "[]"

@@ -19,8 +19,8 @@ from .errors import InputError, NothingToDo
 from .model import Fixes, Plots, Recording, Sensors, Source, load_sensors
 
 if TYPE_CHECKING:
-    from .assess.residuals import Residuals
-    from .associate import Association
+    from .assessment.residuals import Residuals
+    from .association import Association
     from .calibration import Calibration, Input
 
 Progress = Callable[[str], None]
@@ -74,9 +74,9 @@ def calibrate(
     Raises InputError for files that cannot be used, SettingsError for sensors or terms that make no sense, NothingToDo where the
     recordings do not overlap or nothing in them can be paired.
     """
-    from .align import apply_time_offsets, locate, overlap
-    from .assess.residuals import residuals
-    from .associate import search
+    from .alignment import apply_time_offsets, locate, overlap
+    from .assessment.residuals import residuals
+    from .association import search
     from .register import register
 
     if not plots or not reference:
@@ -120,7 +120,7 @@ def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> 
     """Write calibration.json, residuals.parquet and report.html into the folder `out`, keeping what was there."""
     from .calibration import save
     from .report import write_report
-    from .write.tables import write_table
+    from .writing.tables import write_table
 
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -153,7 +153,7 @@ def correct_files(
     """Correct the plots of recordings and write them as a table; returns the number of rows and the warnings."""
     from .calibration import load
     from .correct import correct
-    from .write.tables import write_table
+    from .writing.tables import write_table
 
     warnings: list[str] = []
     found = load(calibration)
@@ -171,7 +171,7 @@ def correct_files(
 
 def demo(out: str | Path, *, seed: int = 1, progress: Progress = _silent) -> Run:
     """Simulate two radars with known errors, write real ASTERIX, calibrate from those files, and set found against true."""
-    from .simulate.demo import demo_files, write_demo
+    from .simulation.demo import demo_files, write_demo
 
     progress("simulating two radars and 30 aircraft")
     folder = Path(out)
@@ -197,7 +197,7 @@ def _read_all(
     warnings: list[str],
     progress: Progress,
 ) -> list[Recording]:
-    from .read import read
+    from .reading import read
 
     recordings = []
     for path in paths:

@@ -225,7 +225,7 @@ class Fixes(_Table):
     """Positions of targets from a reference, one row a report.
 
     A position is geodetic (WGS-84, `height_m` ellipsoidal), or Cartesian (`x_m` east, `y_m` north of the source's own reference
-    point, until `align.locate` has made it geodetic).  `heading_rad` is a heading that the record carries, not the course.
+    point, until `alignment.locate` has made it geodetic).  `heading_rad` is a heading that the record carries, not the course.
     The sd are per axis; `time_sd_s` is what is not known of the stamp.
     """
 

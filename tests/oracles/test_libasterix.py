@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from boresight.model import unpack_callsigns
-from boresight.read import read, uap
-from boresight.read.asterix import ItemRecord, decode_items
+from boresight.reading import read, uap
+from boresight.reading.asterix import ItemRecord, decode_items
 
 base = pytest.importorskip("asterix.base")
 generated = pytest.importorskip("asterix.generated")

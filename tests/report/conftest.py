@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from boresight.assess import Residuals, residuals
+from boresight.assessment import Residuals, residuals
 from boresight.calibration import Accuracy, Calibration, Input, Noise, NotDetermined, Summary, TermKey
 from boresight.geodesy import ecef_from_geodetic, enu_from_ecef, rotate, rotate_back
 from boresight.measure import polar_motion, sites

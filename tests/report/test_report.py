@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import t as student
 
-from boresight.assess import Residuals
+from boresight.assessment import Residuals
 from boresight.calibration import Calibration
 from boresight.errors import InputError
 from boresight.model import Sensors

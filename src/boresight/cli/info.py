@@ -23,7 +23,7 @@ def info(files: Files, /, *, date: Date = None, edition: Editions | None = None,
     json
         Print the result as JSON.
     """
-    from ..read import read
+    from ..reading import read
 
     chosen, day = editions_of(edition), date_of(date)
     recordings = []

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from ..assess.residuals import Residuals
+    from ..assessment.residuals import Residuals
     from ..calibration import Calibration
 
 MAX_POINTS = 4000

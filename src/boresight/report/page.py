@@ -20,8 +20,8 @@ from ..terms import TERMS
 from . import figures as draw
 
 if TYPE_CHECKING:
-    from ..assess.residuals import Residuals
-    from ..associate import Association
+    from ..assessment.residuals import Residuals
+    from ..association import Association
     from ..calibration import Calibration, Summary
     from ..model import Sensors
 

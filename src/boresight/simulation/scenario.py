@@ -14,7 +14,7 @@ from .._types import IntArray
 from ..errors import SettingsError
 from ..model import Fixes, Plots, Sensors, check_sensors, pack_callsigns
 from ..terms import TERMS
-from ..write.asterix import Marks
+from ..writing.asterix import Marks
 from .radar import Adsb, Observation, Radar, observe_adsb, observe_radar
 from .truth import Aircraft, Airport, Atmosphere, Traffic, Truth, fly_traffic
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .. import align, measure
+from .. import alignment, measure
 from .._types import AnyArray, BoolArray, FloatArray, IntArray
 from ..errors import InputError, NothingToDo
 from ..model import Fixes, Flag, Plots, Sensor
@@ -33,7 +33,7 @@ class Reference:
     """
 
     fixes: Fixes
-    trajectories: align.Trajectories
+    trajectories: alignment.Trajectories
     target: IntArray
     order: IntArray
     start_s: FloatArray
@@ -58,10 +58,10 @@ def reference_of(fixes: Fixes, settings: AssociationSettings) -> Reference:
     if not np.any(placed):
         if np.any(np.isfinite(fixes.x_m)):
             raise InputError(
-                "the reference's positions are still Cartesian", remedy="Call align.locate(fixes, sensors, sources) first."
+                "the reference's positions are still Cartesian", remedy="Call alignment.locate(fixes, sensors, sources) first."
             )
         raise NothingToDo("the reference holds no position", remedy="It needs ADS-B or multilateration reports with positions.")
-    trajectories = align.trajectories(fixes, method=settings.interpolation, max_gap_s=settings.reference_gap_s)
+    trajectories = alignment.trajectories(fixes, method=settings.interpolation, max_gap_s=settings.reference_gap_s)
     target = np.where(placed, trajectories.target, -1)
     rows = np.flatnonzero(target >= 0)
     if not len(rows):
@@ -150,7 +150,7 @@ class Scene:
 
     def _compare(self, row: IntArray, target: IntArray, shift_s: FloatArray, turn_rad: float, late_s: float) -> Compared:
         a = self.assumed
-        s = align.states(self.reference.trajectories, target, self.plots.time_s[row] + shift_s)
+        s = alignment.states(self.reference.trajectories, target, self.plots.time_s[row] + shift_s)
         position = s.position - late_s * s.velocity + 0.5 * late_s**2 * np.nan_to_num(s.acceleration)
         enu, velocity = self.local(position - self.site), self.local(s.velocity)
         valid = s.valid & np.isfinite(enu).all(axis=1)
@@ -245,9 +245,9 @@ class Scene:
         ground bit where that source ever sets it, else no more than 150 m above the antenna.
         """
         time = self.plots.time_s[row]
-        before = align.states(self.reference.trajectories, target, time - _MOTION_S)
-        now = align.states(self.reference.trajectories, target, time)
-        after = align.states(self.reference.trajectories, target, time + _MOTION_S)
+        before = alignment.states(self.reference.trajectories, target, time - _MOTION_S)
+        now = alignment.states(self.reference.trajectories, target, time)
+        after = alignment.states(self.reference.trajectories, target, time + _MOTION_S)
         back = np.linalg.norm(now.position - before.position, axis=1) / _MOTION_S
         ahead = np.linalg.norm(after.position - now.position, axis=1) / _MOTION_S
         whole = np.linalg.norm(after.position - before.position, axis=1) / (2 * _MOTION_S)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from .. import align
+from .. import alignment
 from .._types import BoolArray, FloatArray, IntArray
 from ..errors import NothingToDo
 from ..model import Sensor
@@ -266,7 +266,7 @@ def _probable_offset(scene: Scene, tracks: tracklets.Tracklets, names: identity.
         return None
     target = np.repeat(np.arange(len(low)), count)
     time = low[target] + step * (np.arange(len(target)) - np.repeat(np.cumsum(count) - count, count))
-    states = align.states(reference.trajectories, target, time)
+    states = alignment.states(reference.trajectories, target, time)
     moving = states.valid & (np.linalg.norm(states.velocity, axis=1) >= scene.assumed.min_speed_mps)
     target, time = target[moving], time[moving]
     enu = scene.local(states.position[moving] - scene.site)

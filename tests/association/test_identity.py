@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from boresight.associate import identity
+from boresight.association import identity
 from boresight.model import Fixes, Plots, pack_callsigns
 
 

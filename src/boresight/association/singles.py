@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .. import align, measure
+from .. import alignment, measure
 from .._types import BoolArray, FloatArray, IntArray
 from . import identity
 from .coarse import CoarseBias
@@ -36,7 +36,7 @@ def nearest(scene: Scene, rows: IntArray, bias: CoarseBias) -> IntArray:
     if not len(target):
         return out
     time = low[target] + step * (np.arange(len(target)) - np.repeat(np.cumsum(count) - count, count))
-    states = align.states(reference.trajectories, target, time)
+    states = alignment.states(reference.trajectories, target, time)
     target, time = target[states.valid], time[states.valid]
     enu = scene.local(states.position[states.valid] - scene.site)
     if not len(enu):

@@ -525,7 +525,7 @@ def trajectories(fixes: Fixes, *, method: str = "smooth", max_gap_s: float | Non
     geodetic = np.isfinite(fixes.latitude_rad) & np.isfinite(fixes.longitude_rad)
     if len(fixes) and not geodetic.any() and np.isfinite(fixes.x_m).any():
         raise InputError(
-            "the reference's positions are still Cartesian", remedy="Call align.locate(fixes, sensors, sources) first."
+            "the reference's positions are still Cartesian", remedy="Call alignment.locate(fixes, sensors, sources) first."
         )
     usable = geodetic & np.isfinite(fixes.height_m) & np.isfinite(fixes.time_s) & (target >= 0)
     unusable = len(fixes) - int(usable.sum())

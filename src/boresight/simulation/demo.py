@@ -11,8 +11,8 @@ import numpy as np
 from ..errors import InputError
 from ..model import Sensor, Sensors
 from ..terms import TERMS
-from ..write import write_text
-from ..write.asterix import write_asterix
+from ..writing import write_text
+from ..writing.asterix import write_asterix
 from .radar import Adsb, Radar
 from .scenario import Scenario, Simulated, simulate
 from .truth import Airport, Atmosphere, Traffic

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from boresight.associate import hough
-from boresight.associate.hough import Bias, Candidates, Window
+from boresight.association import hough
+from boresight.association.hough import Bias, Candidates, Window
 
 WINDOW = Window(2000.0, np.radians(3.5), 2.5)
 

@@ -1,4 +1,4 @@
-"""What is written is what is read: random tables through the writer and `boresight.read`."""
+"""What is written is what is read: random tables through the writer and `boresight.reading`."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from random_tables import MIDNIGHT_S, some_fixes, some_plots
 
 from boresight.measure import wrap_rad
 from boresight.model import Channel, Fixes, Flag, Plots
-from boresight.read import read
-from boresight.write.asterix import accuracy_sd_m, write_asterix
+from boresight.reading import read
+from boresight.writing.asterix import accuracy_sd_m, write_asterix
 
 DATE = datetime.date(2026, 3, 1)
 COLUMNS = {

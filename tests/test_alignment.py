@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from boresight import align, geodesy, measure
+from boresight import alignment, geodesy, measure
 from boresight.errors import InputError, NothingToDo, SettingsError
 from boresight.model import Channel, Fixes, Flag, Plots, Sensor, Sensors, Source
 
@@ -93,13 +93,13 @@ def _traffic(
     return fixes.take(rng.permutation(len(fixes))), ways
 
 
-def _errors(fixes: Fixes, ways: list[Way], method: str, seed: int = 9) -> tuple[np.ndarray, np.ndarray, align.States]:
+def _errors(fixes: Fixes, ways: list[Way], method: str, seed: int = 9) -> tuple[np.ndarray, np.ndarray, alignment.States]:
     """Position and velocity errors (m, 3) at random times, and the states themselves."""
     rng = np.random.default_rng(seed)
     target = rng.integers(0, len(ways), 6000)
     last = fixes.time_s.max() - EPOCH
     time = EPOCH + rng.uniform(12, last - 12, 6000)
-    states = align.states(align.trajectories(fixes, method=method), target, time)
+    states = alignment.states(alignment.trajectories(fixes, method=method), target, time)
     assert states.valid.all()
     position, velocity = np.empty((6000, 3)), np.empty((6000, 3))
     for k, way in enumerate(ways):
@@ -132,7 +132,7 @@ def test_velocity_on_the_surface_is_well_below_a_metre_per_second() -> None:
 )
 def test_smooth_is_the_best_of_the_methods(ground: bool, update: float, sd: float, speed_error: float) -> None:
     fixes, ways = _traffic(2, ground=ground, update=update, sd=sd)
-    rms = {method: _rms(_errors(fixes, ways, method)[0]) for method in align.METHODS}
+    rms = {method: _rms(_errors(fixes, ways, method)[0]) for method in alignment.METHODS}
     assert rms["smooth"] <= min(rms.values()) * 1.0001
     assert rms["linear"] < rms["nearest"]
     assert _rms(_errors(fixes, ways, "smooth")[1]) < speed_error
@@ -190,9 +190,9 @@ def test_acceleration_in_a_long_turn() -> None:
     omega, speed = np.radians(2.0), 130.0
     enu = speed / omega * np.stack([np.sin(omega * time), 1 - np.cos(omega * time), np.zeros(120)], axis=1)
     position = ORIGIN + enu @ ROTATION + np.random.default_rng(2).normal(0, 2, enu.shape)
-    trajectories = align.trajectories(_fixes(position, EPOCH + time, np.zeros(120, int), 2.0))
+    trajectories = alignment.trajectories(_fixes(position, EPOCH + time, np.zeros(120, int), 2.0))
     t = np.arange(20, 100, 0.7)
-    states = align.states(trajectories, np.zeros(len(t), int), EPOCH + t)
+    states = alignment.states(trajectories, np.zeros(len(t), int), EPOCH + t)
     true = -speed * omega * np.stack([np.sin(omega * t), -np.cos(omega * t), 0 * t], axis=1) @ ROTATION
     assert _rms(states.acceleration - true) < 0.6
     assert np.median(np.linalg.norm(states.acceleration, axis=1)) == pytest.approx(speed * omega, rel=0.05)
@@ -210,7 +210,7 @@ def test_the_fit_is_weighted_least_squares(with_velocity: bool) -> None:
     position, weight = rng.normal(0, 5, (n, 3)) + 6e6, rng.uniform(0.1, 2, n)
     velocity, speed_weight = rng.normal(0, 5, (n, 3)), rng.uniform(0.5, 3, n) * with_velocity
     scale = np.full(n, 0.7)
-    found = align._fit(
+    found = alignment._fit(
         time, position, weight, velocity, speed_weight, np.tile([0.0, 0, 1], (n, 1)), np.zeros(n, np.int64),
         np.full(n, n, np.int64), scale, np.array([3.0]), np.array([5], np.int64), 10.0, 240,
     )  # fmt: skip
@@ -228,7 +228,7 @@ def test_the_fit_is_weighted_least_squares(with_velocity: bool) -> None:
         design = np.stack([np.ones_like(x), x, x * x / 2], axis=1) * np.sqrt(weight[rows])[:, None]
         right = (position[rows] - position[i]) * np.sqrt(weight[rows])[:, None]
         slope = np.stack([0 * x, np.ones_like(x), x], axis=1) * np.sqrt(speed_weight[rows])[:, None]
-        prior = np.array([[0.0, 0.0, np.sqrt(scale[i] / align._PULL2)]])
+        prior = np.array([[0.0, 0.0, np.sqrt(scale[i] / alignment._PULL2)]])
         design = np.concatenate([design, slope, prior])
         right = np.concatenate([right, velocity[rows] * np.sqrt(speed_weight[rows])[:, None], np.zeros((1, 3))])
         expected = np.linalg.lstsq(design, right, rcond=None)[0]
@@ -243,9 +243,9 @@ def test_the_fit_is_weighted_least_squares(with_velocity: bool) -> None:
 def test_interpolation_is_scipy_s(method: str) -> None:
     scipy = pytest.importorskip("scipy.interpolate")
     fixes, _ = _traffic(12, ground=False, update=4.0, sd=10.0, targets=1)
-    trajectories = align.trajectories(fixes, method=method)
+    trajectories = alignment.trajectories(fixes, method=method)
     t = np.random.default_rng(1).uniform(5, 590, 300)
-    found = align.states(trajectories, np.zeros(300, int), EPOCH + t)
+    found = alignment.states(trajectories, np.zeros(300, int), EPOCH + t)
     knot = trajectories.time_s - EPOCH
     if method == "cubic":
         expected = scipy.CubicHermiteSpline(knot, trajectories.position, trajectories.velocity)(t)
@@ -264,9 +264,9 @@ def _straight(time: np.ndarray, **columns: object) -> Fixes:
 
 @pytest.mark.parametrize("method", ["linear", "cubic", "smooth"])
 def test_an_exact_straight_line_is_found_exactly(method: str) -> None:
-    trajectories = align.trajectories(_straight(np.arange(0.0, 60, 1)), method=method)
+    trajectories = alignment.trajectories(_straight(np.arange(0.0, 60, 1)), method=method)
     t = np.linspace(-0.4, 59.4, 500)
-    states = align.states(trajectories, np.zeros(500, int), EPOCH + t)
+    states = alignment.states(trajectories, np.zeros(500, int), EPOCH + t)
     true = ORIGIN + np.stack([20 * t, 10 * t, np.full(500, 100.0)], axis=1) @ ROTATION
     assert states.valid.all()
     # The stamps themselves are only known to 0.12 us (1.7e9 s in a double): 5 um at 22 m/s.
@@ -277,54 +277,54 @@ def test_an_exact_straight_line_is_found_exactly(method: str) -> None:
 
 def test_never_across_a_gap_and_never_beyond_half_an_update() -> None:
     time = np.r_[np.arange(0.0, 30, 1), np.arange(60.0, 90, 1)]
-    trajectories = align.trajectories(_straight(time))
+    trajectories = alignment.trajectories(_straight(time))
     ask = np.array([-0.6, -0.4, 10.5, 29.4, 29.6, 45.0, 59.4, 59.6, 70.2, 89.4, 89.6, np.nan])
-    states = align.states(trajectories, np.zeros(len(ask), int), EPOCH + ask)
+    states = alignment.states(trajectories, np.zeros(len(ask), int), EPOCH + ask)
     assert states.valid.tolist() == [False, True, True, True, False, False, False, True, True, True, False, False]
     assert np.isnan(states.position[~states.valid]).all()
     assert np.isnan(states.covariance[~states.valid]).all()
-    wide = align.trajectories(_straight(time), max_gap_s=40.0)
-    assert align.states(wide, np.zeros(1, int), EPOCH + np.array([45.0])).valid.all()
+    wide = alignment.trajectories(_straight(time), max_gap_s=40.0)
+    assert alignment.states(wide, np.zeros(1, int), EPOCH + np.array([45.0])).valid.all()
 
 
 def test_the_gap_limit_follows_the_update_rate() -> None:
     for update, limit in ((0.5, 3.0), (1.0, 4.0), (4.0, 16.0), (10.0, 20.0)):
-        assert align.trajectories(_straight(np.arange(0, 200, update))).max_gap_s == pytest.approx([limit])
+        assert alignment.trajectories(_straight(np.arange(0, 200, update))).max_gap_s == pytest.approx([limit])
 
 
 def test_unknown_targets_and_lone_fixes_are_invalid_not_errors() -> None:
-    trajectories = align.trajectories(_straight(np.array([0.0])))
-    states = align.states(trajectories, np.array([0, -1, 7]), np.full(3, EPOCH))
+    trajectories = alignment.trajectories(_straight(np.array([0.0])))
+    states = alignment.states(trajectories, np.array([0, -1, 7]), np.full(3, EPOCH))
     assert not states.valid.any()
-    empty = align.states(align.trajectories(Fixes()), np.array([0]), np.array([EPOCH]))
+    empty = alignment.states(alignment.trajectories(Fixes()), np.array([0]), np.array([EPOCH]))
     assert not empty.valid.any()
     assert empty.covariance.shape == (1, 3, 3)
     with pytest.raises(InputError, match="one row each"):
-        align.states(trajectories, np.zeros(2, int), np.zeros(3))
+        alignment.states(trajectories, np.zeros(2, int), np.zeros(3))
 
 
 def test_settings_that_make_no_sense_are_refused() -> None:
     fixes = _straight(np.arange(5.0))
     with pytest.raises(SettingsError, match="nearest, linear, cubic, smooth"):
-        align.trajectories(fixes, method="quintic")
+        alignment.trajectories(fixes, method="quintic")
     with pytest.raises(SettingsError, match="positive"):
-        align.trajectories(fixes, max_gap_s=0.0)
+        alignment.trajectories(fixes, max_gap_s=0.0)
     with pytest.raises(InputError, match="Cartesian"):
-        align.trajectories(Fixes(time_s=[0.0], x_m=[1.0], y_m=[2.0], mode_s=[7]))  # type: ignore[arg-type]
+        alignment.trajectories(Fixes(time_s=[0.0], x_m=[1.0], y_m=[2.0], mode_s=[7]))  # type: ignore[arg-type]
 
 
 def test_order_duplicates_and_nan_do_not_change_the_answer() -> None:
     fixes = _straight(np.arange(0.0, 60, 1))
     t = EPOCH + np.linspace(1, 58, 100)
-    expected = align.states(align.trajectories(fixes), np.zeros(100, int), t)
+    expected = alignment.states(alignment.trajectories(fixes), np.zeros(100, int), t)
     broken = fixes[:3].replace(latitude_rad=[np.nan, 0.7, 0.7], height_m=[1.0, np.nan, 1.0], time_s=[EPOCH, EPOCH, np.nan])
     messy = Fixes.concat([fixes, fixes[10:30], broken]).take(np.random.default_rng(3).permutation(83))
-    trajectories = align.trajectories(messy)
+    trajectories = alignment.trajectories(messy)
     assert (trajectories.unusable, trajectories.duplicates) == (3, 20)
     assert "3 of 83" in trajectories.warnings[0]
-    states = align.states(trajectories, np.zeros(100, int), t)
+    states = alignment.states(trajectories, np.zeros(100, int), t)
     assert np.abs(states.position - expected.position).max() < 1e-5
-    again = align.states(align.trajectories(messy), np.zeros(100, int), t)
+    again = alignment.states(alignment.trajectories(messy), np.zeros(100, int), t)
     assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(again, states, strict=True))
 
 
@@ -332,8 +332,8 @@ def test_equal_stamps_that_disagree_are_averaged_or_the_better_one_kept() -> Non
     fixes = _straight(np.arange(0.0, 20, 1))
     near, far = fixes[5:6].replace(height_m=fixes.height_m[5:6] + 8), fixes[9:10].replace(height_m=fixes.height_m[9:10] + 500)
     far = far.replace(horizontal_sd_m=[50.0])
-    trajectories = align.trajectories(Fixes.concat([far, near, fixes]), method="linear")
-    found = align.states(trajectories, np.zeros(2, int), EPOCH + np.array([5.0, 9.0])).position
+    trajectories = alignment.trajectories(Fixes.concat([far, near, fixes]), method="linear")
+    found = alignment.states(trajectories, np.zeros(2, int), EPOCH + np.array([5.0, 9.0])).position
     up = geodesy.geodetic_from_ecef(found)[2] - fixes.height_m[[5, 9]]
     assert up[0] == pytest.approx(4, abs=0.01)
     # Within five of its own sd (50 m) of a 5 m fix it would be averaged; 500 m is not.
@@ -346,11 +346,11 @@ def test_impossible_jumps_are_dropped_and_counted() -> None:
     lat = fixes.latitude_rad.copy()
     wrong = np.array([0, 30, 31, 32, 70])
     lat[wrong] += 0.01
-    trajectories = align.trajectories(fixes.replace(latitude_rad=lat))
+    trajectories = alignment.trajectories(fixes.replace(latitude_rad=lat))
     assert trajectories.jumps == 5
     assert set(range(100)) - set(trajectories.row.tolist()) == set(wrong.tolist())
     assert "5 of 100" in trajectories.warnings[0]
-    assert align.trajectories(fixes).jumps == 0
+    assert alignment.trajectories(fixes).jumps == 0
 
 
 def test_a_lone_spike_that_is_no_impossible_jump_is_dropped_too() -> None:
@@ -358,7 +358,7 @@ def test_a_lone_spike_that_is_no_impossible_jump_is_dropped_too() -> None:
     time = np.arange(0.0, 200, 1)
     enu = np.stack([20.0 * time, 10.0 * time, np.zeros(200)], axis=1) + rng.normal(0, 2, (200, 3))
     enu[77, 1] += 120
-    trajectories = align.trajectories(_fixes(ORIGIN + enu @ ROTATION, EPOCH + time, np.zeros(200, int), 5.0))
+    trajectories = alignment.trajectories(_fixes(ORIGIN + enu @ ROTATION, EPOCH + time, np.zeros(200, int), 5.0))
     assert (trajectories.jumps, trajectories.spikes) == (0, 1)
     assert 77 not in trajectories.row
 
@@ -366,14 +366,14 @@ def test_a_lone_spike_that_is_no_impossible_jump_is_dropped_too() -> None:
 def test_heading_and_length() -> None:
     time = np.arange(0.0, 20, 1)
     heading = np.radians(np.where(time % 2 == 0, 350.0, 10.0))
-    carried = align.trajectories(_straight(time, heading_rad=heading, length_m=np.r_[37.0, np.full(19, 38.0)]))
-    states = align.states(carried, np.zeros(2, int), EPOCH + np.array([4.5, 4.0]))
+    carried = alignment.trajectories(_straight(time, heading_rad=heading, length_m=np.r_[37.0, np.full(19, 38.0)]))
+    states = alignment.states(carried, np.zeros(2, int), EPOCH + np.array([4.5, 4.0]))
     # Half way between 350 and 10 deg is north, not south.
     assert abs(measure.wrap_rad(states.heading_rad[0])) < 1e-6
     assert np.degrees(states.heading_rad[1]) == pytest.approx(350)
     assert states.length_m.tolist() == [38.0, 38.0]
     slow = _fixes(ORIGIN + np.stack([0.5 * time, 0 * time, 0 * time], axis=1) @ ROTATION, EPOCH + time, np.zeros(20, int), 1.0)
-    states = align.states(align.trajectories(slow), np.zeros(1, int), EPOCH + np.array([4.0]))
+    states = alignment.states(alignment.trajectories(slow), np.zeros(1, int), EPOCH + np.array([4.0]))
     assert np.isnan(states.heading_rad).all()
     assert np.isnan(states.length_m).all()
 
@@ -383,9 +383,9 @@ def test_of_two_sources_the_better_one_answers() -> None:
     time = np.arange(0.0, 60, 1)
     good, poor = _straight(time[:40]), _straight(time + 0.5, source=np.full(60, 6), horizontal_sd_m=np.full(60, 40.0))
     poor = poor.replace(height_m=poor.height_m + 30)
-    trajectories = align.trajectories(Fixes.concat([poor, good]))
+    trajectories = alignment.trajectories(Fixes.concat([poor, good]))
     assert trajectories.targets == 1
-    states = align.states(trajectories, np.zeros(2, int), EPOCH + np.array([20.2, 55.2]))
+    states = alignment.states(trajectories, np.zeros(2, int), EPOCH + np.array([20.2, 55.2]))
     height = geodesy.geodetic_from_ecef(states.position)[2]
     assert height - 100 == pytest.approx([0, 30], abs=0.5)
 
@@ -404,7 +404,7 @@ def test_targets_by_address_mmsi_callsign_track() -> None:
         callsign=[-1, -1, -1, -1, 77, 77, -1, -1, -1],
         track=[-1, -1, -1, -1, -1, -1, 3, 3, -1], source=[5, 6, 5, 6, 5, 6, 5, 6, 5],
     )  # fmt: skip
-    target = align.targets_of(fixes)
+    target = alignment.targets_of(fixes)
     assert target.tolist() == [0, 0, 1, 1, 2, 2, 3, 4, -1]
 
 
@@ -414,7 +414,7 @@ def test_a_record_without_address_takes_that_of_its_track_or_callsign() -> None:
         track=[1, 1, 1, 1, -1, -1], callsign=[-1, -1, -1, -1, 77, 77],
         source=[5, 5, 5, 5, 6, 7],
     )  # fmt: skip
-    target = align.targets_of(fixes)
+    target = alignment.targets_of(fixes)
     assert target[1] == target[2] == target[0]
     assert target[3] != target[0]
     assert target[4] == target[5] != target[0]
@@ -422,7 +422,7 @@ def test_a_record_without_address_takes_that_of_its_track_or_callsign() -> None:
 
 def test_a_track_number_used_again_after_a_pause_is_another_target() -> None:
     fixes = _named(time_s=[0.0, 100, 200, 600, 700], track=[4, 4, 4, 4, 4])
-    assert align.targets_of(fixes).tolist() == [0, 0, 0, 1, 1]
+    assert alignment.targets_of(fixes).tolist() == [0, 0, 0, 1, 1]
 
 
 @settings(max_examples=40)
@@ -436,7 +436,7 @@ def test_targets_do_not_depend_on_the_order(rows: list[tuple[int, int, int, int]
     fixes = _named(mode_s=mode_s, track=track, time_s=time + np.arange(len(rows)) * 1e-3, source=source)
     order = list(range(len(rows)))
     random.shuffle(order)  # type: ignore[attr-defined]
-    assert np.array_equal(align.targets_of(fixes.take(np.array(order))), align.targets_of(fixes)[order])
+    assert np.array_equal(alignment.targets_of(fixes.take(np.array(order))), alignment.targets_of(fixes)[order])
 
 
 # ---------------------------------------------------------------------------------------------------------------- locate
@@ -463,7 +463,7 @@ def _cartesian(n: int = 40, **columns: object) -> Fixes:
 def test_cartesian_positions_become_geodetic_on_the_ellipsoid() -> None:
     """ENU about the reference point, at the target's own height: x and y come back to 1 um, 100 km away and 9 km up."""
     fixes = _cartesian(height_m=np.full(40, 9000.0), vertical_sd_m=np.full(40, 4.0), horizontal_sd_m=np.full(40, 4.0))
-    located, said = align.locate(fixes, Sensors((_sensor(),)))
+    located, said = alignment.locate(fixes, Sensors((_sensor(),)))
     assert said == ()
     position = geodesy.ecef_from_geodetic(located.latitude_rad, located.longitude_rad, located.height_m)
     enu = geodesy.local_enu(position, LAT, LON, 50.0)
@@ -476,11 +476,11 @@ def test_the_reference_point_may_come_from_the_stream_or_is_asked_for() -> None:
     fixes = _cartesian(height_m=np.full(40, 9000.0))
     nothing = dict(sac=0, sic=5, category=20, edition="1.9", records=1, plots=0, start_s=0.0, end_s=1.0, targets=1)
     told = Source(**nothing, latitude_rad=float(LAT), longitude_rad=float(LON), height_m=50.0)  # type: ignore[arg-type]
-    own, _ = align.locate(fixes, Sensors((_sensor(),)))
-    other, _ = align.locate(fixes, Sensors(()), (Source(**nothing), told))  # type: ignore[arg-type]
+    own, _ = alignment.locate(fixes, Sensors((_sensor(),)))
+    other, _ = alignment.locate(fixes, Sensors(()), (Source(**nothing), told))  # type: ignore[arg-type]
     assert np.allclose(own.latitude_rad, other.latitude_rad, atol=1e-15)
     with pytest.raises(SettingsError, match=r"SAC/SIC 0/5.*sac = 0, sic = 5"):
-        align.locate(fixes, Sensors(()))
+        alignment.locate(fixes, Sensors(()))
 
 
 def test_ground_targets_stand_at_the_ground_height_that_is_known_best() -> None:
@@ -493,10 +493,10 @@ def test_ground_targets_stand_at_the_ground_height_that_is_known_best() -> None:
         ((_sensor(height_m=None), radar), 85, "antenna of 'SMR'"),
     )
     for sensors, height, why in cases:
-        located, said = align.locate(fixes, Sensors(sensors))
+        located, said = alignment.locate(fixes, Sensors(sensors))
         assert (located.height_m == height).all()
         assert any(why in text for text in said)
-    located, said = align.locate(fixes, Sensors((_sensor(height_m=None),)))
+    located, said = alignment.locate(fixes, Sensors((_sensor(height_m=None),)))
     assert np.isnan(located.height_m).all()
     assert any("give ground_height_m" in text for text in said)
 
@@ -504,8 +504,8 @@ def test_ground_targets_stand_at_the_ground_height_that_is_known_best() -> None:
 def test_targets_without_altitude_are_on_the_ground_only_at_a_surface_site() -> None:
     fixes = _cartesian()
     surface = Sensor(name="SMR", sac=0, sic=7, kind="surface", ground_height_m=51.0)
-    assert (align.locate(fixes, Sensors((_sensor(), surface)))[0].height_m == 51).all()
-    located, said = align.locate(fixes, Sensors((_sensor(),)))
+    assert (alignment.locate(fixes, Sensors((_sensor(), surface)))[0].height_m == 51).all()
+    located, said = alignment.locate(fixes, Sensors((_sensor(),)))
     assert np.isnan(located.height_m).all()
     assert any("40 reference positions have no height" in text for text in said)
 
@@ -522,7 +522,7 @@ def test_pressure_altitude_uses_the_traffic_s_own_difference() -> None:
         time_s=time, source=np.full(n, 5), channel=np.full(n, Channel.ADS_B), mode_s=np.ones(n), latitude_rad=np.full(n, LAT),
         longitude_rad=np.full(n, LON), pressure_altitude_m=level, height_m=np.where(carries, true + rng.normal(0, 15, n), np.nan),
     )  # fmt: skip
-    located, said = align.locate(fixes, Sensors(()))
+    located, said = alignment.locate(fixes, Sensors(()))
     error = (located.height_m - true)[~carries]
     assert np.abs(np.mean(error)) < 5
     assert np.sqrt(np.mean(error**2)) < 25
@@ -530,11 +530,11 @@ def test_pressure_altitude_uses_the_traffic_s_own_difference() -> None:
     assert any("geometric-minus-pressure" in text for text in said)
     # The same levels in another recording: the profile comes from the table that offers it.
     bare = fixes[~carries]
-    alone, said = align.locate(bare, Sensors(()))
+    alone, said = alignment.locate(bare, Sensors(()))
     assert np.array_equal(alone.height_m, bare.pressure_altitude_m)
     assert alone.vertical_sd_m == pytest.approx(30 + 0.05 * bare.pressure_altitude_m)
     assert any("standard atmosphere" in text for text in said)
-    with_profile, _ = align.locate(bare, Sensors(()), profile=fixes[carries])
+    with_profile, _ = alignment.locate(bare, Sensors(()), profile=fixes[carries])
     assert np.allclose(with_profile.height_m, located.height_m[~carries])
 
 
@@ -544,11 +544,11 @@ def test_accuracies_that_are_missing_are_filled_by_kind_and_said_once() -> None:
         time_s=EPOCH + np.arange(4.0), source=[5, 6, 8, 9], channel=channel, mmsi=[-1, -1, 123, -1], mode_s=[1, 2, -1, 3],
         latitude_rad=np.full(4, LAT), longitude_rad=np.full(4, LON), height_m=np.full(4, 10.0),
     )  # fmt: skip
-    located, said = align.locate(fixes, Sensors(()))
+    located, said = alignment.locate(fixes, Sensors(()))
     assert located.horizontal_sd_m.tolist() == [15, 5, 10, 25]
     assert (located.vertical_sd_m == 20).all()
     assert sum("m per axis is assumed" in text for text in said) == 4
-    kept, said = align.locate(fixes.replace(horizontal_sd_m=np.full(4, 3.0), vertical_sd_m=np.full(4, 2.0)), Sensors(()))
+    kept, said = alignment.locate(fixes.replace(horizontal_sd_m=np.full(4, 3.0), vertical_sd_m=np.full(4, 2.0)), Sensors(()))
     assert (kept.horizontal_sd_m == 3).all()
     assert (kept.vertical_sd_m == 2).all()
     assert said == ()
@@ -558,7 +558,7 @@ def test_rows_without_position_or_time_are_counted() -> None:
     fixes = _straight(np.arange(5.0))
     lat, time = fixes.latitude_rad.copy(), fixes.time_s.copy()
     lat[0], time[1] = np.nan, np.nan
-    _, said = align.locate(fixes.replace(latitude_rad=lat, time_s=time), Sensors(()))
+    _, said = alignment.locate(fixes.replace(latitude_rad=lat, time_s=time), Sensors(()))
     assert any(text.startswith("1 of 5") and "no position" in text for text in said)
     assert any(text.startswith("1 of 5") and "no time" in text for text in said)
 
@@ -568,8 +568,8 @@ def test_rows_without_position_or_time_are_counted() -> None:
 
 def test_time_offsets_are_taken_from_both_tables() -> None:
     sensors = Sensors((_sensor(time_offset_s=0.35), _sensor(name="R", sic=7, kind="psr", time_offset_s=-2.0)))
-    plots = align.apply_time_offsets(Plots(time_s=[10.0, 20.0], sensor=[7, 9]), sensors)  # type: ignore[arg-type]
-    fixes = align.apply_time_offsets(Fixes(time_s=[10.0, 20.0], source=[5, 7]), sensors)  # type: ignore[arg-type]
+    plots = alignment.apply_time_offsets(Plots(time_s=[10.0, 20.0], sensor=[7, 9]), sensors)  # type: ignore[arg-type]
+    fixes = alignment.apply_time_offsets(Fixes(time_s=[10.0, 20.0], source=[5, 7]), sensors)  # type: ignore[arg-type]
     assert plots.time_s.tolist() == [12.0, 20.0]
     assert fixes.time_s.tolist() == [9.65, 22.0]
 
@@ -579,33 +579,33 @@ def _clocks(a: tuple[float, float], b: tuple[float, float]) -> tuple[Plots, Fixe
 
 
 def test_overlapping_recordings_pass_quietly() -> None:
-    check = align.overlap(*_clocks((0, 3600), (-10, 3700)))
+    check = alignment.overlap(*_clocks((0, 3600), (-10, 3700)))
     assert check.message == ""
     assert check.overlap_s == pytest.approx(3600)
     assert check.inside == 1.0
-    partly = align.overlap(*_clocks((0, 3600), (1800, 7200)))
+    partly = alignment.overlap(*_clocks((0, 3600), (1800, 7200)))
     assert "only 50% of the plots" in partly.message
     assert partly.overlap_s == pytest.approx(1800)
 
 
 def test_recordings_that_miss_each_other_are_refused_with_by_how_much() -> None:
     with pytest.raises(NothingToDo, match=r"miss each other by 26\.0 min.*time_offset_s"):
-        align.overlap(*_clocks((0, 3600), (3600 + 1560, 9000)))
+        alignment.overlap(*_clocks((0, 3600), (3600 + 1560, 9000)))
 
 
 def test_a_day_off_is_named() -> None:
     with pytest.raises(NothingToDo, match=r"24 h earlier they would overlap for 60\.0 min.*--date"):
-        align.overlap(*_clocks((0, 3600), (86400, 90000)))
+        alignment.overlap(*_clocks((0, 3600), (86400, 90000)))
     with pytest.raises(NothingToDo, match=r"24 h later"):
-        align.overlap(*_clocks((0, 3600), (-86400, -82800)))
+        alignment.overlap(*_clocks((0, 3600), (-86400, -82800)))
 
 
 def test_tables_without_stamps_are_refused() -> None:
     plots, fixes = _clocks((0, 10), (0, 10))
     with pytest.raises(NothingToDo, match="no plot record"):
-        align.overlap(plots.replace(time_s=np.full(50, np.nan)), fixes)
+        alignment.overlap(plots.replace(time_s=np.full(50, np.nan)), fixes)
     with pytest.raises(NothingToDo, match="no reference record"):
-        align.overlap(plots, Fixes())
+        alignment.overlap(plots, Fixes())
 
 
 # ------------------------------------------------------------------------------------------------------- real recordings
@@ -614,23 +614,23 @@ def test_tables_without_stamps_are_refused() -> None:
 @pytest.mark.real
 def test_adsb_against_multilateration_at_barcelona(data: Path) -> None:
     """METHODS section 7: on the ground, ADS-B is stamped 0.35 s later than the multilateration and agrees to about 1 m across."""
-    from boresight.read import read
+    from boresight.reading import read
 
     folder, date = data / "lebl-2016", datetime.date(2016, 5, 10)
     adsb = read(folder / "adsb_cat021v023_160510-lebl-220001.ast", date=date, editions={21: "0.23"}).fixes
     mlat = read(folder / "mlat_cat010_160510-lebl-220001.ast", date=date).fixes
     point = Sensor(name="MLAT", sac=0, sic=107, kind="mlat", lat_deg=41.297079, lon_deg=2.078463, height_m=51.0)
-    adsb, _ = align.locate(adsb, Sensors((point,)))
-    mlat, said = align.locate(mlat, Sensors((point,)))
+    adsb, _ = alignment.locate(adsb, Sensors((point,)))
+    mlat, said = alignment.locate(mlat, Sensors((point,)))
     assert any("height of its reference point" in text for text in said)
-    assert align.overlap(Plots(time_s=adsb.time_s), mlat).overlap_s == pytest.approx(7260, abs=2)
-    trajectories = align.trajectories(mlat)
+    assert alignment.overlap(Plots(time_s=adsb.time_s), mlat).overlap_s == pytest.approx(7260, abs=2)
+    trajectories = alignment.trajectories(mlat)
     assert trajectories.targets == 37
     address = np.full(trajectories.targets, -1)
     address[trajectories.target[mlat.mode_s > 0]] = mlat.mode_s[mlat.mode_s > 0]
     low = adsb[(adsb.flags & Flag.GROUND != 0) & np.isin(adsb.mode_s, address)]
     target = np.array([int(np.flatnonzero(address == a)[0]) for a in low.mode_s])
-    states = align.states(trajectories, target, low.time_s)
+    states = alignment.states(trajectories, target, low.time_s)
     position = geodesy.ecef_from_geodetic(low.latitude_rad, low.longitude_rad, low.height_m)
     speed = np.linalg.norm(states.velocity, axis=1)
     moving = states.valid & (speed > 5)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from boresight.associate import tracklets
+from boresight.association import tracklets
 from boresight.model import Plots
 
 OPTIONS = {"gap_s": 30.0, "speed_mps": 300.0, "azimuth_sd_rad": 0.002}

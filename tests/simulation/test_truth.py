@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from boresight.geodesy import enu_from_ecef, geodetic_from_ecef, rotate
-from boresight.simulate import Airport, Atmosphere, Scenario, Traffic, Truth, simulate
+from boresight.simulation import Airport, Atmosphere, Scenario, Traffic, Truth, simulate
 
 AIRPORT = Airport(lat_deg=41.297, lon_deg=2.083, height_m=50.0, runway_deg=246.0)
 ATMOSPHERE = Atmosphere(isa_deviation_k=8.0, shift_m=62.0)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyproj import Geod, Transformer
 
-from boresight.assess import Residuals, residuals
+from boresight.assessment import Residuals, residuals
 from boresight.calibration import Calibration, TermKey
 from boresight.errors import SettingsError
 from boresight.model import Channel, Pairs, Plots, Sensor, Sensors

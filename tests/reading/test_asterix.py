@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from boresight.errors import InputError, SettingsError
 from boresight.model import Channel, Fixes, Flag, Plots, unpack_callsigns
-from boresight.read import read, sha256_of, uap
-from boresight.read.asterix import DecodeState, Records, decode, read_asterix
+from boresight.reading import read, sha256_of, uap
+from boresight.reading.asterix import DecodeState, Records, decode, read_asterix
 
 DATE = datetime.date(2016, 5, 10)
 DAY = 86400.0

@@ -17,8 +17,8 @@ from random_tables import MIDNIGHT_S, some_fixes, some_plots
 
 from boresight.errors import InputError
 from boresight.model import Channel, Fixes, Flag, Plots, unpack_callsigns
-from boresight.write import atomic
-from boresight.write.asterix import EPU_M, RADIUS_95, Marks, accuracy_category, accuracy_sd_m, encode_asterix, write_asterix
+from boresight.writing import atomic
+from boresight.writing.asterix import EPU_M, RADIUS_95, Marks, accuracy_category, accuracy_sd_m, encode_asterix, write_asterix
 
 EDITIONS = {
     10: [gen.Cat_010_1_1],

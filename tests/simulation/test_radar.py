@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from boresight.geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate
 from boresight.measure import polar_from_enu, wrap_rad
 from boresight.model import Channel
-from boresight.simulate import Adsb, Airport, Radar, Scenario, Simulated, Traffic, simulate
-from boresight.simulate.radar import geometry_at, site
+from boresight.simulation import Adsb, Airport, Radar, Scenario, Simulated, Traffic, simulate
+from boresight.simulation.radar import geometry_at, site
 from boresight.terms import DEG, TERMS, Geometry
-from boresight.write.asterix import accuracy_sd_m
+from boresight.writing.asterix import accuracy_sd_m
 
 AIRPORT = Airport(lat_deg=41.297, lon_deg=2.083, height_m=50.0, runway_deg=246.0)
 BARE = Radar(
@@ -183,7 +183,7 @@ def test_false_plots_have_no_target() -> None:
 
 
 def test_pressure_altitude_is_not_a_height() -> None:
-    from boresight.simulate import Atmosphere
+    from boresight.simulation import Atmosphere
 
     run = simulate(
         Scenario(

@@ -12,9 +12,9 @@ import pytest
 from boresight.errors import InputError, SettingsError
 from boresight.measure import wrap_rad
 from boresight.model import load_sensors
-from boresight.read import read
-from boresight.simulate import Radar, Scenario, Simulated, load_scenario, simulate
-from boresight.simulate.demo import association_scene, demo_scene, sensors_toml, write_demo, write_scene
+from boresight.reading import read
+from boresight.simulation import Radar, Scenario, Simulated, load_scenario, simulate
+from boresight.simulation.demo import association_scene, demo_scene, sensors_toml, write_demo, write_scene
 from boresight.terms import TERMS
 
 SCENE = """
@@ -106,7 +106,7 @@ def test_a_missing_scenario_is_named(tmp_path: Path) -> None:
 
 def test_radar_defaults_make_a_scene() -> None:
     radar = Radar(name="r", sac=1, sic=1, lat_deg=41.3, lon_deg=2.1)
-    from boresight.simulate import Traffic
+    from boresight.simulation import Traffic
 
     run = simulate(Scenario(duration_s=300.0, traffic=Traffic(aircraft=4, arrivals=0, departures=0), radar=(radar,)), 1)
     assert len(run.plots) > 100

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from boresight.model import Fixes, Plots
-from boresight.read import uap
-from boresight.read.asterix import _slots, _spec_row
+from boresight.reading import uap
+from boresight.reading.asterix import _slots, _spec_row
 
 TABLES = [(c, e) for c in uap.categories() for e in uap.editions_of(c)]
 # Names that `asterix` combines into columns.

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from .. import align, measure
+from .. import alignment, measure
 from .._types import AnyArray, BoolArray, FloatArray, IntArray
 from ..errors import NothingToDo, SettingsError
 from ..model import EXCLUDED, Fixes, Pairs, Plots, Sensor, Sensors, _column, _float, _Table
@@ -93,7 +93,7 @@ class Association:
 def associate(plots: Plots, fixes: Fixes, sensors: Sensors, settings: AssociationSettings | None = None) -> Pairs:
     """Say which plot is which target, with the reference at each plot's stamp.
 
-    `plots` (n,) of any of the `sensors`; `fixes` (m,) geodetic (`align.locate` makes them so).  The pairs are in the order of
+    `plots` (n,) of any of the `sensors`; `fixes` (m,) geodetic (`alignment.locate` makes them so).  The pairs are in the order of
     the plots.
 
     Raises NothingToDo, with the reason and the remedy, where nothing can be paired: no overlap in time, a reference out of
@@ -114,7 +114,7 @@ def search(plots: Plots, fixes: Fixes, sensors: Sensors, settings: AssociationSe
             "there are no plots to associate", remedy="Check with `boresight info` that the recording holds polar positions."
         )
     reference = reference_of(fixes, settings)
-    align.overlap(plots, fixes)
+    alignment.overlap(plots, fixes)
     reason = np.full(len(plots), _NO_SENSOR, np.int8)
     target = np.full(len(plots), -1, np.int64)
     track = np.full(len(plots), -1, np.int64)
@@ -458,7 +458,7 @@ def _gate(scene: Scene, reason: AnyArray, target: IntArray, bias: CoarseBias) ->
 def _pairs(plots: Plots, rows: IntArray, target: IntArray, track: IntArray, reference: Reference) -> Pairs:
     """The paired plots with the reference at their own stamps."""
     mine = plots.take(rows)
-    s = align.states(reference.trajectories, target[rows], mine.time_s)
+    s = alignment.states(reference.trajectories, target[rows], mine.time_s)
     length = np.where(np.isfinite(s.length_m), s.length_m, _own_length(mine.length_m, track[rows]))
     return Pairs(
         plot=rows, plots=mine, target=target[rows], track=track[rows], position=s.position, velocity=s.velocity,

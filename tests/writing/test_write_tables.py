@@ -14,7 +14,7 @@ import pytest
 from boresight._types import FloatArray
 from boresight.errors import InputError
 from boresight.model import Channel, Fixes, Pairs, Plots, pack_callsigns
-from boresight.write.tables import write_table
+from boresight.writing.tables import write_table
 
 PLOTS = Plots(
     time_s=[1_772_323_200.0 + 1 / 128, 1_772_323_201.5, np.nan],

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from association_traffic import LAT, LON, Scene, radar, scene, wrong
 
-from boresight.align import targets_of
-from boresight.associate import AssociationSettings, associate, search
+from boresight.alignment import targets_of
+from boresight.association import AssociationSettings, associate, search
 from boresight.errors import InputError, NothingToDo, SettingsError
 from boresight.model import Fixes, Flag, Pairs, Plots, Sensors, pack_callsigns
-from boresight.simulate import simulate
-from boresight.simulate.demo import association_scene
+from boresight.simulation import simulate
+from boresight.simulation.demo import association_scene
 
 
 def find(s: Scene, **options):
@@ -406,9 +406,9 @@ def recordings(data):
     """The radar's plots, and both references made geodetic."""
     import datetime
 
-    from boresight.align import locate
+    from boresight.alignment import locate
     from boresight.model import Sensor
-    from boresight.read import read
+    from boresight.reading import read
 
     day = datetime.date(2016, 5, 10)
     folder = data / "lebl-2016"

@@ -17,7 +17,7 @@ from ..geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rot
 from ..measure import polar_from_enu, polar_motion, position_from_polar, wrap_turn
 from ..model import Channel, Fixes, Flag, Plots, Sensor
 from ..terms import TERMS, Geometry
-from ..write.asterix import Marks, accuracy_sd_m
+from ..writing.asterix import Marks, accuracy_sd_m
 from .truth import STEP_S, Truth
 
 # The quanta of CAT048 and CAT021.

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from boresight.associate.assign import assign, track_cost
+from boresight.association.assign import assign, track_cost
 
 
 def dense(rng, tracks, targets, density=0.7):

@@ -22,7 +22,7 @@ class AssociationSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     m/s).  `points` plots of a track are compared, `search_tracks` tracks take part in the search.  Without identity at least
     `min_tracks` tracks must agree. A track without a strong identity needs `min_plots`; it ends after `track_gap_s` without a
     plot.  `clock_search_s` is how far to look for the clock offset to name in a refusal.  `interpolation` and
-    `reference_gap_s` go to `align.trajectories`.
+    `reference_gap_s` go to `alignment.trajectories`.
 
     Raises SettingsError for values that make no sense.
     """
