@@ -260,8 +260,8 @@ class Fixes(_Table):
 class Tracks(_Table):
     """States of tracked targets, one row an update: what a tracker says, not what a sensor measured.
 
-    `source` is the system that tracks, `track` its number for the target.  Positions are geodetic (WGS-84), velocities local; the sd are
-    per axis.  `age_s` is the time since the last measurement that went in.
+    `source` is the system that tracks, `track` its number for the target.  Positions are geodetic (WGS-84), velocities local; the
+    sd are per axis.  `age_s` is the time since the last measurement that went in.
     """
 
     time_s: FloatArray = _float()
@@ -460,7 +460,8 @@ def load_sensors(path: str | Path) -> Sensors:
     except OSError as error:
         raise SettingsError(f"cannot be read ({error.strerror})", where=str(path)) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SettingsError(f"is not TOML: {error}", where=str(path), remedy="Each sensor is a table headed [[sensor]].") from error
+        remedy = "Each sensor is a table headed [[sensor]]."
+        raise SettingsError(f"is not TOML: {error}", where=str(path), remedy=remedy) from error
     try:
         sensors = msgspec.convert(data, Sensors)
     except msgspec.ValidationError as error:
@@ -492,7 +493,8 @@ def check_sensors(sensors: Sensors, where: str = "sensors") -> None:
             if value is not None and not 0 <= value <= 255:
                 raise SettingsError(f"{name} = {value} is not within 0 … 255", where=place)
         if s.key < 0:
-            raise SettingsError("has neither sac and sic nor an id", where=place, remedy="Give sac and sic, or id = 65536 or more.")
+            remedy = "Give sac and sic, or id = 65536 or more."
+            raise SettingsError("has neither sac and sic nor an id", where=place, remedy=remedy)
         if s.name in names or s.key in keys:
             raise SettingsError("its name or its sac/sic was used before", where=place, remedy="Each sensor has its own.")
         names.add(s.name)

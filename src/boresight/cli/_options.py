@@ -28,7 +28,9 @@ def editions_of(texts: Sequence[str] | None) -> dict[int, str]:
     for text in texts or ():
         category, equals, edition = text.partition("=")
         if not equals or not category.strip().isdigit() or not edition.strip():
-            raise SettingsError(f"{text!r} is not a category and its edition", where="--edition", remedy="Example: --edition 021=0.23")
+            raise SettingsError(
+                f"{text!r} is not a category and its edition", where="--edition", remedy="Example: --edition 021=0.23"
+            )
         editions[int(category)] = edition.strip()
     return editions
 

@@ -18,4 +18,5 @@ def warm() -> None:
     with steps(quiet=False) as step, tempfile.TemporaryDirectory() as folder:
         flow.demo(Path(folder), seed=0, progress=step)
     where = cache_folder()
-    print(f"Kernels compiled and tried in {time.perf_counter() - start:.1f} s; kept in {where}" if where else "No folder to keep kernels in")
+    kept = f"kept in {where}" if where else "but no folder to keep them in is writable: set XDG_CACHE_HOME"
+    print(f"Kernels compiled and tried in {time.perf_counter() - start:.1f} s; {kept}")
