@@ -77,6 +77,7 @@ def calibrate(
     from .alignment import apply_time_offsets, locate, overlap
     from .assessment.residuals import residuals
     from .association import search
+    from .measure import site_warnings
     from .register import register
 
     if not plots or not reference:
@@ -85,6 +86,7 @@ def calibrate(
     radar = _read_all(plots, editions, date, warnings, progress)
     trusted = _read_all(reference, editions, date, warnings, progress)
     measured = _with_known_sensor(Plots.concat([r.plots for r in radar]), sensors, radar, warnings)
+    warnings += site_warnings(measured, sensors, positions=False)
     fixes = Fixes.concat([r.fixes for r in trusted])
     if not len(fixes):
         raise NothingToDo(
@@ -151,8 +153,9 @@ def correct_files(
     progress: Progress = _silent,
 ) -> tuple[int, tuple[str, ...]]:
     """Correct the plots of recordings and write them as a table; returns the number of rows and the warnings."""
+    from .alignment import apply_time_offsets
     from .calibration import load
-    from .correct import correct
+    from .correct import correct_and_say
     from .writing.tables import write_table
 
     warnings: list[str] = []
@@ -163,7 +166,9 @@ def correct_files(
     if not len(table):
         raise NothingToDo(f"no record of {_names(recordings)} holds a measured polar position")
     known = load_sensors(sensors) if sensors is not None else None
-    clean, said = correct(table, found, sensors=known)
+    if known is not None:
+        table = apply_time_offsets(table, known)
+    clean, said = correct_and_say(table, found, sensors=known)
     progress("writing")
     write_table(out, clean)
     return len(clean), tuple([*warnings, *said])

@@ -172,8 +172,11 @@ def sites(plots: Plots, sensors: Sensors) -> tuple[FloatArray, FloatArray]:
     return position, rotation
 
 
-def site_warnings(plots: Plots, sensors: Sensors) -> tuple[str, ...]:
-    """What the user must know of antenna and ground heights that `sensors.toml` does not give, with the effect in metres."""
+def site_warnings(plots: Plots, sensors: Sensors, *, positions: bool = True) -> tuple[str, ...]:
+    """What the user must know of antenna heights and north references that `sensors.toml` does not give, with the effect in metres.
+
+    With `positions`, also of the height of the ground, which matters where plots are to be placed without a reference.
+    """
     out: list[str] = []
     for key, sensor in sensors_of(plots, sensors).items():
         mine = plots[plots.sensor == key]
@@ -189,7 +192,7 @@ def site_warnings(plots: Plots, sensors: Sensors) -> tuple[str, ...]:
             else:
                 effect_text = "a target at 10 km height and 50 km range moves by 20 m along the range for every 100 m of height"
             out.append(f"sensor {sensor.name!r} has no height_m; 0 m on the ellipsoid is assumed: {effect_text}")
-        elif on_ground and sensor.ground_height_m is None and len(mine) and not np.isfinite(mine.height_m).any():
+        elif positions and on_ground and sensor.ground_height_m is None and len(mine) and not np.isfinite(mine.height_m).any():
             near = float(np.nanmedian(mine.range_m)) if np.isfinite(mine.range_m).any() else np.nan
             if np.isfinite(near) and near > 30:
                 out.append(

@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _fail(str(error))
     except BrokenPipeError:
         # The reader of our output (head, say) has gone: nothing more to tell it, and no traceback at exit either.
-        sys.stdout = None  # type: ignore[assignment]
+        sys.stdout = None
     except KeyboardInterrupt:
         print("boresight: interrupted; nothing half-written was left", file=sys.stderr)
         raise SystemExit(130) from None
