@@ -50,6 +50,8 @@ class Flag(IntFlag):
     TRACK_END = 512
     VEHICLE = 1024
     TIME_OF_RECEPTION = 2048
+    ACQUIRING = 4096
+    MAGNETIC_NORTH = 8192
 
 
 EXCLUDED = (

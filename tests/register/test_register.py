@@ -101,12 +101,15 @@ def test_recovers_every_term(model: str, truth: dict[str, float]) -> None:
 
 
 def test_reaches_the_cramer_rao_bound_in_white_noise_and_its_sd_are_true() -> None:
-    """The bound is that of independent plots; 24 runs of 6 terms, so the mean of 144 squares over their variance has an sd of
-    0.14 at least, and the runs share the geometry."""
+    """The bound is that of independent plots.
+
+    16 runs of 6 terms give 96 squares over their variances, correlated between terms: their mean is 1 with an sd of about
+    sqrt(2 / 96) times 1.5, and the root of it half of that.
+    """
     names = ("range_bias", "range_gain", "azimuth_bias", "azimuth_cos", "azimuth_sin", "time_offset")
     truth = {"A": {name: 0.0 for name in names}}
     ratios, squares = [], []
-    for seed in range(24):
+    for seed in range(16):
         s = scene(seed, truth, sensors=ONE, errors=WHITE, targets=30, scan_s=8.0)
         information = np.zeros((6, 6))
         site = geometry_of_pairs(s)
@@ -118,9 +121,9 @@ def test_reaches_the_cramer_rao_bound_in_white_noise_and_its_sd_are_true() -> No
         error, covariance = errors_of(found, s)
         ratios.append(error**2 / np.diag(bound))
         squares.append(nees(error, covariance))
-    assert np.sqrt(np.mean(ratios)) <= 1.0 + 3 * 0.5 * np.sqrt(2 / 144)
-    assert np.sqrt(np.mean(ratios)) >= 1.0 - 3 * 0.5 * np.sqrt(2 / 144)
-    assert 0.7 <= np.mean(squares) <= 1.0 + 3 * np.sqrt(2 / 144)
+    sd = 1.5 * np.sqrt(2 / 96)
+    assert 1 - 1.5 * sd <= np.sqrt(np.mean(ratios)) <= 1 + 1.5 * sd
+    assert 1 - 3 * sd <= np.mean(squares) <= 1 + 3 * sd
 
 
 def geometry_of_pairs(s: Scene):
@@ -137,13 +140,13 @@ def geometry_of_pairs(s: Scene):
 
 
 def test_uncertainties_are_true_where_targets_have_errors_of_their_own() -> None:
-    """NEES over its degrees of freedom, both radars jointly, over 16 seeds of 12 terms.
+    """NEES over its degrees of freedom, both radars jointly, over 10 seeds of 12 terms.
 
-    192 squares have a mean within 1 ± 3 sqrt(2 / 192) if independent and normal; the wider upper bound is that of t errors.
+    The mean over 100 seeds is 1.04 (`benchmarks/truthfulness.py`); here it must be 0.9 ... 1.15 but for its own sd over the seeds.
     """
     joint, z = [], []
-    for seed in range(16):
-        s = scene(seed + 100, random_truth(seed), errors=FULL, scan_s=6.0)
+    for seed in range(10):
+        s = scene(seed + 100, random_truth(seed), errors=FULL, scan_s=8.0)
         found = register(s.pairs, s.sensors)
         error, covariance = errors_of(found, s)
         joint.append(nees(error, covariance))

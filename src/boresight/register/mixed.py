@@ -111,11 +111,13 @@ def estimate(
     nothing to learn from.
     """
     variances = start
+    typical = np.sqrt(np.concatenate([guess.noise, *guess.effects]))
     for _ in range(steps):
         new = _improve(products, variances, prior, at, guess)
         before, after = (np.sqrt(np.concatenate([v.noise, *v.effects])) for v in (variances, new))
         variances = new
-        if np.all(np.abs(after - before) <= tolerance * np.maximum(before, after)):
+        # What is on its way to nothing gets there ever more slowly, and need not.
+        if np.all(np.abs(after - before) <= tolerance * np.maximum(after, 0.1 * typical)):
             break
     return variances
 
