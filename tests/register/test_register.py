@@ -142,7 +142,7 @@ def geometry_of_pairs(s: Scene):
 def test_uncertainties_are_true_where_targets_have_errors_of_their_own() -> None:
     """NEES over its degrees of freedom, both radars jointly, over 10 seeds of 12 terms.
 
-    The mean over 100 seeds is 1.04 (`benchmarks/truthfulness.py`); here it must be 0.9 ... 1.15 but for its own sd over the seeds.
+    The mean over 100 seeds is 1.04 (`benchmarks/truthfulness.py`); here it must be 0.9 ... 1.15 but for its sd over the seeds.
     """
     joint, z = [], []
     for seed in range(10):

@@ -515,7 +515,7 @@ def _iterate(
         at, products_noise = state.value / prior_sd, state.variances.noise
         state = replace(state, spread=_spread(seen, layout, terms, state))
         products = _products(seen, layout, terms, state, settings, subset)
-        variances = mixed.estimate(products, state.variances, prior, at, guess, steps=60 if number == 0 else 12)
+        variances = mixed.estimate(products, state.variances, prior, at, guess, steps=30 if number == 0 else 8)
         reduced = mixed.reduce(products, variances)
         solution = mixed.solve(reduced.terms, prior, at)
         state = _State(

@@ -7,7 +7,7 @@ share its `u2`, so they say little more about a range bias than one plot does: l
 several times too small.
 
 Everything works on cross products by channel and short block, which cost one pass over the plots; what follows does not depend
-on the number of plots.  Sources: Laird & Ware 1982 (the model), Zhou et al. 2019 (minorise-maximise for variance components),
+on the number of plots.  Sources: Laird & Ware 1982 (the model), Harville 1977 (restricted likelihood by fixed-point steps),
 Bell & McCaffrey 2002 (bias-reduced sandwich), Ledoit & Wolf 2004 (shrinkage); METHODS section 6.
 """
 
@@ -105,7 +105,7 @@ def estimate(
     steps: int,
     tolerance: float = 3e-3,
 ) -> Variances:
-    """Variance components by restricted maximum likelihood: multiplicative steps, which keep them positive.
+    """Variance components by restricted maximum likelihood, in multiplicative steps, which keep them positive.
 
     `guess` weighs like a fraction of one target, and less with every target more: it decides only where there is next to
     nothing to learn from.
@@ -192,7 +192,7 @@ def _improve(products: Products, variances: Variances, prior: FloatArray, at: Fl
         more, less = belief * typical / old**2, belief / old
         down = np.maximum(np.bincount(level.group, down, len(old)), 1e-12 / old)
         ratio = (np.bincount(level.group, up, len(old)) + more) / (down + less)
-        new_effects.append(old * np.sqrt(ratio))
+        new_effects.append(old * np.clip(ratio, 0.1, 10.0))
 
     # Downwards: predict the effects, and how uncertain each prediction is.
     tail = np.concatenate([np.tile(-value, (len(reduced), 1)), np.ones((len(reduced), 1))], axis=1)
