@@ -45,7 +45,6 @@ class Part(NamedTuple):
     key: tuple[bytes, bytes, bytes, int]
     payload: bytes
     fill: int
-    text: bytes
     order: int
 
 
@@ -106,11 +105,14 @@ def available() -> bool:
 
 
 def part_of(record: int, offset: int, order: int, text: bytes) -> Part | str:
-    """A sentence (`text` from its "!" to its checksum) as a part of a message, or why it is none."""
-    fields = text[: text.rfind(b"*")].split(b",")
-    if len(fields) != 7:
+    """A sentence (`text` from its "!" up to its "*") as a part of a message, or why it is none."""
+    fields = text.split(b",")
+    if len(fields) < 7:
         return f"{len(fields) - 1} fields where 6 belong"
-    address, of, number, sequence, channel, payload, fill = (f.strip() for f in fields)
+    # Some receivers add a field of their own behind these.
+    address, of, number, sequence, channel, payload, fill = fields[:7]
+    if b" " in text:
+        of, number, payload, fill = of.strip(), number.strip(), payload.strip(), fill.strip()
     if not (of.isdigit() and number.isdigit() and len(of) == 1 and len(number) == 1 and 1 <= int(number) <= int(of)):
         return f"part {_text(number)} of {_text(of)} makes no sense"
     if fill not in (b"0", b"1", b"2", b"3", b"4", b"5", b""):
@@ -229,7 +231,8 @@ def decode(messages: Sequence[Sequence[Part]]) -> Messages:
 def _decoded(parts: Sequence[Part]) -> Any:
     import pyais
 
-    return pyais.decode(*(p.text for p in parts))
+    # Built anew, so that what a receiver added to its sentences cannot matter; the checksums were verified before.
+    return pyais.decode(*(b"!AIVDM,%d,%d,1,A,%b,%d*00" % (p.of, p.number, p.payload, p.fill) for p in parts))
 
 
 def _utc(m: Any) -> float | None:
