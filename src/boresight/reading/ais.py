@@ -119,9 +119,8 @@ def part_of(record: int, offset: int, order: int, text: bytes) -> Part | str:
         return f"{_text(fill)} fill bits where 0 to 5 are possible"
     if not _PAYLOAD.fullmatch(payload):
         return "a character that AIS does not use"
-    return Part(
-        record, offset, int(number), int(of), (address, sequence, channel, int(of)), payload, int(fill or b"0"), text, order
-    )
+    key = (address, sequence, channel, int(of))
+    return Part(record, offset, int(number), int(of), key, payload, int(fill or b"0"), order)
 
 
 def _text(field: bytes) -> str:

@@ -1,8 +1,8 @@
 """NMEA 0183: a ship's or a station's log to plots, fixes, tracks and own ship.
 
 `decode_nmea` does no input or output: bytes and a state go in, tables and the next state come out, for files and live lines
-alike; `read_nmea` and `read_ais` serve files.  Reading has two steps.  `_observe` takes the fields of each kind of sentence, a kind at a
-time, into columns; `_resolve` then finds the time of every sentence and own ship's heading, and makes the tables.
+alike; `read_nmea` and `read_ais` serve files.  Reading has two steps.  `_observe` takes the fields of each kind of sentence, a
+kind at a time, into columns; `_resolve` then finds the time of every sentence and own ship's heading, and makes the tables.
 
 Time: a sentence's own UTC comes first, then the stamp of its tag block or line, then the times of the sentences around it.  The
 date is that of RMC or ZDA, else of the stamps, else of AIS base stations, else the given one, else day 0.
