@@ -33,6 +33,9 @@ SECOND_SD_S, UNSTAMPED_SD_S = 0.3, 1.0
 _STEERED_MPS = 3.0
 # The coarse time tells the minute of a report's second only if it is this good.
 _MINUTE_S = 25.0
+# A second is looked for from this long before its sentence's time to the rest of the minute after it; beyond the second figure
+# the transmitter's clock may be wrong, and the time's sd is half of what it is off.
+_EARLIER_S, _PROMPT_S = 45.0, 10.0
 
 
 class Part(NamedTuple):
@@ -273,10 +276,14 @@ def seconds_to_time(coarse_s: FloatArray, gap_s: FloatArray, second: IntArray) -
     tells no second (60 and above), the coarse time is kept.
     """
     usable = (second >= 0) & (second < 60) & (gap_s <= _MINUTE_S)
-    off = (second - coarse_s + 30.0) % 60.0 - 30.0
+    # A report comes after its second, by up to some ten seconds through repeaters, or a little before it where clocks differ.
+    off = (second - coarse_s + _EARLIER_S) % 60.0 - _EARLIER_S
     # Whole seconds: the sum would carry the rounding of the coarse time.
     time = np.where(usable, np.round(coarse_s + np.where(usable, off, 0.0)), coarse_s)
-    return time, np.where(usable, SECOND_SD_S, np.maximum(UNSTAMPED_SD_S, np.minimum(gap_s, 1e6) / np.sqrt(12.0)))
+    strange = np.where(np.abs(off) > _PROMPT_S, np.abs(off) / 2, 0.0)
+    return time, np.where(
+        usable, np.maximum(SECOND_SD_S, strange), np.maximum(UNSTAMPED_SD_S, np.minimum(gap_s, 1e6) / np.sqrt(12.0))
+    )
 
 
 class Moved(NamedTuple):

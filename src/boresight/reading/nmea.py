@@ -391,9 +391,11 @@ def _rsd(k: _Kind) -> _Got:
 
 def _zda(k: _Kind) -> _Got:
     tod = k.time(1)
-    day, month, year = k.number(2, "day", 1, 31), k.number(3, "month", 1, 12), k.number(4, "year", 1970, 2200)
+    day, month, year = k.number(2, "day", 1, 31), k.number(3, "month", 1, 12), k.number(4, "year", 0, 2200)
+    # Some write the year with two digits.
+    century = np.where(year.whole >= 100, 0, np.where(year.whole >= 80, 1900, 2000))
     given = np.isfinite(day.value) & np.isfinite(month.value) & np.isfinite(year.value)
-    days, bad = _days(year.whole, month.whole, day.whole)
+    days, bad = _days(century + year.whole, month.whole, day.whole)
     k.bad.append((bad & given, "date"))
     return _Got({}, tod, day=np.where(given, days, -1), gnss=True)
 
@@ -500,6 +502,12 @@ def _see(data: ByteArray, state: NmeaState, final: bool) -> tuple[_Seen, NmeaSta
     ):
         counts[what] = n
     counts["undecoded"] = messages.missing
+    told = messages.report
+    mine = told["own"] & (told["heading_deg"] < 360) & (told["record"] >= state.records)
+    if mine.any():
+        n = int(np.count_nonzero(mine))
+        own_heading = {"value": np.radians(told["heading_deg"][mine]), "magnetic": np.zeros(n, bool), "rank": np.full(n, 6)}
+        rows_of["heading"].append({"record": told["record"][mine], "talker": np.zeros(n, np.int64)} | own_heading)
     tables = {name: _stack(name, parts_of) for name, parts_of in rows_of.items()}
     damaged = s.damaged + damaged + lost + messages.damaged
     seen = _Seen(

@@ -119,14 +119,23 @@ def scan(data: bytes | memoryview | ByteArray, *, checksums: bool = True, final:
         sound |= ~starred
     sound &= proper
 
-    # Of the starts before one star, the first that adds up is the sentence: what lies between belongs to it.
+    # Of the starts before one star, the last that adds up is the sentence: what lies before it is the rest of a cut one.
     good = np.flatnonzero(sound)
-    good = good[np.unique(segment[good], return_index=True)[1]]
+    good = good[np.diff(segment[good], append=-1) != 0]
     bad = np.flatnonzero(~np.isin(segment, segment[good]))
     bad = bad[np.unique(segment[bad], return_index=True)[1]]
 
     start, star = starts[good], stop[good]
+    # A start before the one that adds up is a sentence that was cut, unless it adds up as well (then it holds the other one).
+    lead = np.searchsorted(segment, segment[good])
+    cut = lead[(lead < good) & ~sound[lead]]
     damaged = [
+        Damage(
+            offset + int(starts[k]), f"{_show(bytes(buffer[starts[k] : starts[k] + 24]))} … is cut: another sentence begins in it"
+        )
+        for k in cut.tolist()
+    ]
+    damaged += [
         Damage(
             offset + int(starts[k]),
             _why(buffer, int(starts[k]), int(stop[k]), bool(starred[k]), bool(has_hex[k]), bool(proper[k])),
