@@ -116,12 +116,12 @@ def write_any(
     elif ending == ".kml":
         from .kml import write_kml
 
-        counts = write_kml(path, {k: tables[k] for k in chosen}, sensors=sensors)
+        counts = write_kml(path, {k: tables[k] for k in chosen}, sensors=sensors, platform=recording.platform)
         left |= {k: n for k, n in counts.items() if k == "without position"}
     elif ending in (".geojson", ".json"):
         from .geojson import write_geojson
 
-        counts = write_geojson(path, {k: tables[k] for k in chosen}, sensors=sensors, lines=lines)
+        counts = write_geojson(path, {k: tables[k] for k in chosen}, sensors=sensors, platform=recording.platform, lines=lines)
         left |= {k: n for k, n in counts.items() if k == "without position"}
     elif ending == ".nmea":
         from .nmea import write_nmea

@@ -13,14 +13,15 @@ import numpy as np
 
 from .._types import AnyArray, FloatArray, IntArray
 from ..errors import InputError, SettingsError
-from ..geodesy import geodetic_from_ecef
-from ..measure import plot_positions
-from ..model import Channel, Plots, Sensors, unpack_callsigns
+from ..geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef
+from ..measure import plot_positions, position_from_height
+from ..model import Channel, Platform, Plots, Sensors, unpack_callsigns
 from .tables import _columns
 
 BLOCK = 16384
 # A target's line is broken where it was not seen for so long.
 GAP_S = 120.0
+_BEYOND_S = 5.0
 _IDENTITIES = ("mode_s", "mmsi", "callsign", "target", "track")
 _ABSENT = ("sensor", "source", "mmsi", "track", "target", "plot", "record")
 
@@ -71,23 +72,19 @@ class Features:
                 yield int(self.target[piece[0]]), piece
 
 
-def features_of(table: Any, sensors: Sensors | None = None, *, kind: str | None = None) -> Features:
+def features_of(
+    table: Any, sensors: Sensors | None = None, *, kind: str | None = None, platform: Platform | None = None
+) -> Features:
     """Where the rows of a table lie.
 
-    `table` is a Plots (which needs `sensors`), Fixes, Tracks or Platform table, or any dataclass or mapping of arrays with
-    `latitude_rad` and `longitude_rad` (or `latitude_deg`, `longitude_deg`), such as residuals.  Raises SettingsError where plots
-    come without sensors, InputError for a table without positions.
+    `table` is a Plots (which needs `sensors`, or for a moving radar its `platform`), Fixes, Tracks or Platform table, or any
+    dataclass or mapping of arrays with `latitude_rad` and `longitude_rad` (or `latitude_deg`, `longitude_deg`), such as
+    residuals.  Raises SettingsError where plots come without sensors, InputError for a table without positions.
     """
     flat = dict(_columns(table))
     kind = kind or type(table).__name__.lower()
     if isinstance(table, Plots):
-        if sensors is None:
-            raise SettingsError(
-                "plots are ranges and azimuths: where they lie depends on the radar's own position",
-                where="sensors",
-                remedy="Give sensors.toml.",
-            )
-        latitude, longitude, height = geodetic_from_ecef(plot_positions(table, sensors))
+        latitude, longitude, height = geodetic_from_ecef(_plot_places(table, sensors, platform))
         latitude, longitude = np.degrees(latitude), np.degrees(longitude)
         # Where only the ground or a pressure level placed it, the height is no measured one.
         height = np.where(np.isfinite(table.height_m) | np.isfinite(table.elevation_rad), height, np.nan)
@@ -108,6 +105,44 @@ def features_of(table: Any, sensors: Sensors | None = None, *, kind: str | None 
         kind, longitude[there], latitude[there], height[there], time[there], target[there], names, columns,
         int(np.count_nonzero(~there)),
     )  # fmt: skip
+
+
+def _plot_places(plots: Plots, sensors: Sensors | None, platform: Platform | None) -> FloatArray:
+    """ECEF positions (n, 3) of plots: of fixed radars by `sensors`, of moving ones about where their platform was."""
+    out = np.full((len(plots), 3), np.nan)
+    moving = np.isin(plots.sensor, platform.sensor) if platform is not None else np.zeros(len(plots), bool)
+    if not moving.all():
+        if sensors is None:
+            raise SettingsError(
+                "plots are ranges and azimuths: where they lie depends on the radar's own position",
+                where="sensors",
+                remedy="Give sensors.toml.",
+            )
+        out[~moving] = plot_positions(plots[~moving], sensors)
+    if platform is None:
+        return out
+    for key in np.unique(plots.sensor[moving]).tolist():
+        rows = np.flatnonzero(moving & (plots.sensor == key))
+        own = platform[(platform.sensor == key) & np.isfinite(platform.latitude_rad) & np.isfinite(platform.time_s)]
+        time, first = np.unique(own.time_s, return_index=True)
+        if not len(time):
+            continue
+        own = own[first]
+        own_height = np.nan_to_num(own.height_m)
+        path = ecef_from_geodetic(own.latitude_rad, own.longitude_rad, own_height)
+        at = np.stack([np.interp(plots.time_s[rows], time, path[:, k]) for k in range(3)], axis=1)
+        # Beyond the platform's reports by more than this nobody knows where it was.
+        known = (plots.time_s[rows] >= time[0] - _BEYOND_S) & (plots.time_s[rows] <= time[-1] + _BEYOND_S)
+        rows, at = rows[known], at[known]
+        latitude, longitude, _ = geodetic_from_ecef(at)
+        sensor = sensors.find(key) if sensors is not None else None
+        ground = sensor.ground_height_m if sensor is not None and sensor.ground_height_m is not None else None
+        level = np.interp(plots.time_s[rows], time, own_height) if ground is None else np.full(len(rows), ground)
+        height = np.where(np.isfinite(plots.height_m[rows]), plots.height_m[rows], level)
+        north = 0.0 if sensor is None else math.radians(sensor.north_offset_deg)
+        azimuth = plots.azimuth_rad[rows] + north
+        out[rows] = position_from_height(plots.range_m[rows], azimuth, height, at, enu_from_ecef(latitude, longitude))
+    return out
 
 
 def _degrees(flat: Mapping[str, AnyArray], name: str) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ..model import Sensors
+from ..model import Platform, Sensors
 from . import atomic
 from .features import BLOCK, GAP_S, Features, features_of, iso
 
@@ -21,6 +21,7 @@ def write_geojson(
     tables: _Tables,
     *,
     sensors: Sensors | None = None,
+    platform: Platform | None = None,
     points: bool = True,
     lines: bool = False,
     gap_s: float = GAP_S,
@@ -42,7 +43,7 @@ def write_geojson(
         file.write(b'{"type":"FeatureCollection","features":[')
         first = True
         for name, table in named(tables):
-            features = features_of(table, sensors, kind=name)
+            features = features_of(table, sensors, kind=name, platform=platform)
             count = 0
             for part in _parts(features, points, lines, gap_s):
                 text = b",\n".join(encode(feature) for feature in part)

@@ -12,7 +12,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from .._types import IntArray
-from ..model import Sensors
+from ..model import Platform, Sensors
 from . import atomic
 from .features import BLOCK, GAP_S, Features, features_of, iso
 from .geojson import named
@@ -21,7 +21,13 @@ _COLOURS = ("ff4f8cff", "ffd18a2e", "ff57b05a", "ffb667c0", "ff3fc3d6", "ff8a8a8
 
 
 def write_kml(
-    path: str | Path, tables: Any, *, sensors: Sensors | None = None, points: bool = True, gap_s: float = GAP_S
+    path: str | Path,
+    tables: Any,
+    *,
+    sensors: Sensors | None = None,
+    platform: Platform | None = None,
+    points: bool = True,
+    gap_s: float = GAP_S,
 ) -> dict[str, int]:
     """Write tables to one KML file, as a whole or not at all, and return the number of placemarks of each kind.
 
@@ -42,7 +48,7 @@ def write_kml(
                 f"<IconStyle><color>{colour}</color><scale>0.4</scale></IconStyle><LabelStyle><scale>0</scale></LabelStyle></Style>\n"
             )
         for name, table in named(tables):
-            features = features_of(table, sensors, kind=name)
+            features = features_of(table, sensors, kind=name, platform=platform)
             file.write(f"<Folder><name>{_text(features.kind)}</name>\n")
             counts[features.kind] = counts.get(features.kind, 0) + _targets(file, features, points, gap_s)
             file.write("</Folder>\n")
