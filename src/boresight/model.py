@@ -263,7 +263,8 @@ class Tracks(_Table):
     """States of tracked targets, one row an update: what a tracker says, not what a sensor measured.
 
     `source` is the system that tracks, `track` its number for the target.  Positions are geodetic (WGS-84), velocities local; the
-    sd are per axis.  `age_s` is the time since the last measurement that went in.
+    sd are per axis.  `age_s` is the time since the last measurement that went in.  `x_m` and `y_m` are the Cartesian position in
+    the system's own plane, where a record has one.
     """
 
     time_s: FloatArray = _float()
@@ -289,6 +290,22 @@ class Tracks(_Table):
     vertical_sd_m: FloatArray = _float()
     age_s: FloatArray = _float()
     flags: AnyArray = _column(np.uint32)
+    record: IntArray = _column(np.int64)
+    x_m: FloatArray = _float()
+    y_m: FloatArray = _float()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marks(_Table):
+    """Marks of an antenna's turn, one row a message: `azimuth_rad` is where it pointed at `time_s` (north, south or a sector).
+
+    `period_s` is the period of rotation where the message tells it.
+    """
+
+    time_s: FloatArray = _float()
+    sensor: AnyArray = _column(np.int32)
+    azimuth_rad: FloatArray = _float()
+    period_s: FloatArray = _float()
     record: IntArray = _column(np.int64)
 
 
@@ -343,7 +360,10 @@ class Damage(msgspec.Struct, frozen=True):
 
 
 class Source(msgspec.Struct, frozen=True, kw_only=True):
-    """What one SAC/SIC sent in one category.  `start` and `end` are UTC seconds; a position is what the stream itself says."""
+    """What one SAC/SIC sent in one category.  `start` and `end` are UTC seconds; a position is what the stream itself says.
+
+    `notes` are facts that it tells of itself or of its sensors, in words.
+    """
 
     sac: int
     sic: int
@@ -357,6 +377,7 @@ class Source(msgspec.Struct, frozen=True, kw_only=True):
     latitude_rad: float = float("nan")
     longitude_rad: float = float("nan")
     height_m: float = float("nan")
+    notes: tuple[str, ...] = ()
 
     @property
     def id(self) -> int:
@@ -368,7 +389,9 @@ class Source(msgspec.Struct, frozen=True, kw_only=True):
 class Recording:
     """What a file held: tables, who sent it, and what was wrong with it.
 
-    `offset` (records,) is the byte offset of each record, `by_category` the number of records of each.
+    `offset` (records,) is the byte offset of each record, `by_category` the number of records of each.  `receive_s` (records,) is
+    when each was received (UTC seconds), where the recording tells (else it is empty); `marks` are the antenna's north and
+    sector marks.
     """
 
     path: str
@@ -381,6 +404,8 @@ class Recording:
     offset: IntArray
     tracks: Tracks = field(default_factory=Tracks)
     platform: Platform = field(default_factory=Platform)
+    marks: Marks = field(default_factory=Marks)
+    receive_s: FloatArray = field(default_factory=lambda: np.empty(0))
 
     @property
     def records(self) -> int:

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from boresight.errors import InputError, SettingsError
-from boresight.model import Channel, Fixes, Flag, Plots, unpack_callsigns
+from boresight.model import Channel, Fixes, Flag, Marks, Plots, unpack_callsigns
 from boresight.reading import read, sha256_of, uap
 from boresight.reading.asterix import DecodeState, Records, decode, read_asterix
 
@@ -60,6 +60,17 @@ def radar(seconds: float, items: dict[str, bytes] | None = None) -> bytes:
     return record(48, "1.x", base | (items or {}))
 
 
+def old_plot(seconds: float, items: dict[str, bytes] | None = None) -> bytes:
+    """A combined plot of category 001 at 10 NM and 180 degrees."""
+    base = {"010": b"\x19\xc9", "020": b"\x30", "040": b"\x05\x00\x80\x00", "141": tod(seconds)[1:]}
+    return record(1, "1.x", base | (items or {}))
+
+
+def old_track(seconds: float, items: dict[str, bytes] | None = None) -> bytes:
+    base = {"010": b"\x19\xc9", "020": b"\xb0", "040": b"\x05\x00\x80\x00", "141": tod(seconds)[1:], "161": b"\1\x23"}
+    return record(256, "1.x", base | (items or {}))
+
+
 def adsb(edition: str, seconds: float, items: dict[str, bytes], time_item: str | None = None) -> bytes:
     base = {"010": b"\x00\x6b", time_item or ("030" if edition[0] == "0" else "071"): tod(seconds)}
     return record(21, edition, base | items)
@@ -81,7 +92,7 @@ def whole(data: bytes, **begin: object) -> Records:
     return records
 
 
-def same_tables(a: Plots | Fixes, b: Plots | Fixes) -> None:
+def same_tables(a: Plots | Fixes | Marks, b: Plots | Fixes | Marks) -> None:
     for (name, x), (_, y) in zip(a._flat(), b._flat(), strict=True):
         np.testing.assert_array_equal(x, y, err_msg=name)
 
@@ -363,7 +374,7 @@ def test_the_edition_that_was_given_is_the_one_that_is_told(tmp_path: Path) -> N
 def test_unknown_editions_and_categories_name_the_known_ones() -> None:
     with pytest.raises(SettingsError, match=r"'9\.9' of ASTERIX category 021 .*Known editions: .*0\.23"):
         DecodeState.begin(editions={21: "9.9"})
-    with pytest.raises(SettingsError, match=r"category 247 cannot be read .*Known categories: 010, 019"):
+    with pytest.raises(SettingsError, match=r"category 247 cannot be read.*Known categories: 001, 002, 010, 019"):
         DecodeState.begin(editions={247: "1.2"})
 
 
@@ -388,7 +399,7 @@ def test_a_stream_waits_until_it_can_tell_the_edition() -> None:
         (b"\x15", "at least 2 bytes are missing"),
         (b"\x0a\x00\x03", "every block is empty"),
         (block(10, smr(1.0))[:12], "no ASTERIX record could be read"),
-        (block(62, b"\x80\x01\x02") + block(65, b"\x80\x01\x02"), r"cannot be read \(062, 065\)"),
+        (block(247, b"\x80\x01\x02") + block(252, b"\x80\x01\x02"), r"cannot be read \(247, 252\)"),
     ],
 )
 def test_a_file_of_which_nothing_can_be_read_is_one_clear_error(tmp_path: Path, data: bytes, message: str) -> None:
@@ -456,11 +467,11 @@ def test_bytes_between_blocks_are_skipped_and_said(tmp_path: Path, junk: bytes) 
 
 
 def test_categories_that_cannot_be_read_are_passed_over_and_counted(tmp_path: Path) -> None:
-    other = block(62, bytes(range(30)))
+    other = block(247, bytes(range(30)))
     recording = read(write(tmp_path, block(10, smr(1.0)) + other * 2 + block(10, smr(2.0)) + other), date=DATE)
     assert recording.records == 2
     assert not recording.damaged
-    assert any(w.startswith("3 blocks of category 062 were passed over") for w in recording.warnings)
+    assert any(w.startswith("3 blocks of category 247 were passed over") for w in recording.warnings)
 
 
 def test_blocks_of_several_unknown_categories_in_a_row_are_passed_over() -> None:
@@ -496,10 +507,14 @@ def stream(seed: int, damage: bool) -> bytes:
             one = block(10, smr(t), smr(t + 0.1 if t < 80000 else t), smr(t))
         elif choice == 1:
             one = block(48, radar(t, {"130": b"\x06\x0a\xfc", "250": b"\x02" + rng.bytes(16)}))
-        elif choice == 2:
+        elif choice == 2 and k % 2:
             one = block(34, record(34, "1.x", {"010": b"\x14\x81", "000": b"\2", "030": tod(t), "020": b"\x40"}))
+        elif choice == 2:
+            one = block(2, record(2, "1.x", {"010": b"\x19\xc9", "000": b"\2", "030": tod(t), "020": b"\x40"})) + block(
+                1, old_plot(t), old_track(t + 0.25)
+            )
         elif choice == 3:
-            one = block(62, rng.bytes(12))
+            one = block(247, rng.bytes(12))
         else:
             one = block(21, adsb("0.23", t, {"040": b"\0\0", "130": position(41.3, 2.1), "080": rng.bytes(3)}))
         if damage and rng.random() < 0.25:
@@ -545,6 +560,7 @@ def test_however_a_stream_is_cut_records_damage_and_state_are_the_same(seed: int
     parts.append(records)
     same_tables(Plots.concat([p.plots for p in parts]), once.plots)
     same_tables(Fixes.concat([p.fixes for p in parts]), once.fixes)
+    same_tables(Marks.concat([p.marks for p in parts]), once.marks)
     for name in ("offset", "length", "category", "source", "time_s", "digest"):
         np.testing.assert_array_equal(np.concatenate([getattr(p, name) for p in parts]), getattr(once, name))
     assert tuple(d for p in parts for d in p.damaged) == once.damaged
@@ -554,8 +570,8 @@ def test_however_a_stream_is_cut_records_damage_and_state_are_the_same(seed: int
 def test_the_stream_of_the_split_test_holds_what_it_should() -> None:
     """Else the property above would be empty: records of all categories, and damage in the damaged form."""
     clean, damaged = whole(stream(1, False), date=DATE), whole(stream(1, True), date=DATE)
-    assert set(clean.category.tolist()) == {10, 21, 34, 48}
-    assert clean.unknown == {62: 18}
+    assert set(clean.category.tolist()) == {1, 2, 10, 21, 34, 48}
+    assert clean.unknown == {247: 18}
     assert not clean.damaged
     assert len(damaged.damaged) >= 5
     assert np.ptp(clean.time_s) < 60

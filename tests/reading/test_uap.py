@@ -7,14 +7,15 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from boresight.model import Fixes, Plots
+from boresight.model import Fixes, Plots, Tracks
 from boresight.reading import uap
 from boresight.reading.asterix import _slots, _spec_row
 
-TABLES = [(c, e) for c in uap.categories() for e in uap.editions_of(c)]
+TABLES = [(c, e) for c in uap.categories() for e in uap.editions_of(c)] + [(256, "1.x")]
 # Names that `asterix` combines into columns.
 COMBINED = {
     "orientation", "speed", "course", "vx", "vy", "sd_x", "sd_y", "nacp", "gva", "version", "length_width", "time_bound",
+    "sd_latitude", "sd_longitude", *(f"age_{name}" for name in uap.AGES),
 }  # fmt: skip
 
 
@@ -41,7 +42,7 @@ def test_every_column_comes_from_a_field_that_exists_and_goes_to_a_column_that_e
     family = uap.family(category, edition)
     plots = uap.PLOTS.get(category)
     fixes = uap.FIXES.get((category, family))
-    for columns, table in ((plots, Plots), (fixes, Fixes)):
+    for columns, table in ((plots, Plots), (fixes, Fixes), (uap.TRACKS.get(category), Tracks)):
         if columns is None:
             continue
         names = {f.name for f in fields(table)}

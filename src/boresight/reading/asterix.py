@@ -11,7 +11,7 @@ goes on where blocks fit together again.
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -22,10 +22,11 @@ import numpy as np
 from .._jit import kernel
 from .._types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 from ..errors import InputError
-from ..model import Channel, Damage, Fixes, Flag, Plots, Recording, Source, unpack_callsigns
+from ..model import Channel, Damage, Fixes, Flag, Marks, Plots, Recording, Source, Tracks, unpack_callsigns
 from . import uap
 
 DAY_S = 86400.0
+EARTH_M = 6371000.0
 # Rows of the table of item offsets that are filled at once: 65,535 bytes hold at most 21,845 records, so a block always fits.
 _ROWS = 1 << 16
 # Bytes that are searched at once for where blocks fit together again: no block is longer.
@@ -57,9 +58,9 @@ _WHY = {
 class Layout(NamedTuple):
     """The tables of some categories as arrays, for the kernels.
 
-    `cats` (256, 3): the first node of a category (-1: unknown, -2: its edition is not known yet), the number of its FSPEC bits,
-    the bit of its data source identifier.  `nodes` (n, 7): kind, size, step, most, first sub-node, number of sub-nodes, slot.
-    A slot is a column of the table of item offsets.
+    `cats` (257, 4): the first node of a category (-1: unknown, -2: its edition is not known yet), the number of its FSPEC bits,
+    the bit of its data source identifier, the row of its second list of items (0: none).  `nodes` (n, 7): kind, size, step, most,
+    first sub-node, number of sub-nodes, slot.  A slot is a column of the table of item offsets.
     """
 
     cats: IntArray
@@ -84,13 +85,14 @@ def _slots(category: int, edition: str) -> dict[str, int]:
 
 @cache
 def _layout(editions: tuple[tuple[int, str], ...], pending: tuple[int, ...]) -> Layout:
-    cats = np.full((256, 3), -1, np.int64)
+    cats = np.full((257, 4), -1, np.int64)
+    cats[:, 3] = 0
     rows: list[list[int]] = []
     width = 1
-    for category, edition in editions:
+    for category, edition in [*editions, *((uap.SECOND[c], e) for c, e in editions if c in uap.SECOND)]:
         items = uap.items_of(category, edition)
         base, at = len(rows), len(items)
-        cats[category] = base, len(items), _slots(category, edition)["010"]
+        cats[category] = base, len(items), _slots(category, edition)["010"], uap.SECOND.get(category, 0)
         children: list[list[int]] = []
         for slot, item in enumerate(items):
             if item is None:
@@ -155,7 +157,6 @@ def _after(data: ByteArray, q: int, end: int, kind: int, size: int, step: int, m
 @kernel
 def _record(data: ByteArray, p: int, end: int, cats: IntArray, nodes: IntArray, category: int, row: AnyArray) -> int:
     """Walk one record that begins at `p`: its items' places go to `row`; returns where it ends, or -(reason * 1000 + bit)."""
-    first, count, identifier = cats[category, 0], cats[category, 1], cats[category, 2]
     q = p
     while q < end and data[q] & 1:
         q += 1
@@ -163,6 +164,12 @@ def _record(data: ByteArray, p: int, end: int, cats: IntArray, nodes: IntArray, 
         return -1000
     q += 1
     octets = q - p
+    if cats[category, 3] and data[p] & 0x40:
+        # The first bit of item 020, which follows item 010, chooses the list of items.
+        n = q + 2 if data[p] & 0x80 else q
+        if n < end and data[n] & 0x80:
+            category = cats[category, 3]
+    first, count, identifier = cats[category, 0], cats[category, 1], cats[category, 2]
     for octet in range(octets):
         bits = _int(data[p + octet])
         if bits & 0xFE == 0:
@@ -182,6 +189,25 @@ def _record(data: ByteArray, p: int, end: int, cats: IntArray, nodes: IntArray, 
                 q += nodes[node, 1]
                 if q > end:
                     return -3000 - n - 1
+            elif kind == 6:
+                # Random field sequencing: passed over.
+                if q >= end:
+                    return -3000 - n - 1
+                left = _int(data[q])
+                q += 1
+                while left:
+                    if q >= end:
+                        return -3000 - n - 1
+                    m = _int(data[q]) - 1
+                    if m < 0 or m >= count:
+                        return -4000 - n - 1
+                    child = first + m
+                    if nodes[child, 0] == 0 or nodes[child, 0] > 4:
+                        return -4000 - n - 1
+                    q = _after(data, q + 1, end, nodes[child, 0], nodes[child, 1], nodes[child, 2], nodes[child, 3])
+                    if q < 0:
+                        return q * 1000 - n - 1
+                    left -= 1
             elif kind != 5:
                 q = _after(data, q, end, kind, nodes[node, 1], nodes[node, 2], nodes[node, 3])
                 if q < 0:
@@ -469,17 +495,39 @@ def _extract(
 
 
 @kernel
-def _unwrap(tod: FloatArray, source: IntArray, last: FloatArray, latest: float, day_s: float, out: FloatArray) -> float:
-    """Times of day to times since 1970 (s): each within half a day of its source's last one, the first of `latest`."""
+def _unwrap(
+    tod: FloatArray, period: FloatArray, source: IntArray, receive: FloatArray, last: FloatArray, latest: float, day_s: float,
+    out: FloatArray,
+) -> float:  # fmt: skip
+    """Times of day to times since 1970 (s): each within half a day of its reception, else of its source's last or of `latest`.
+
+    A time with a `period` is the rest of a time of day by it: it is taken next to its source's last time, else its reception.
+    """
     for i in range(len(tod)):
         if np.isnan(tod[i]):
             continue
         near = last[source[i]]
-        if np.isnan(near):
-            near = latest
-        t = day_s + tod[i]
-        if not np.isnan(near):
-            t = tod[i] + 86400.0 * np.rint((near - tod[i]) / 86400.0)
+        if period[i] == 0.0:
+            if np.isnan(near):
+                near = latest
+            if not np.isnan(receive[i]):
+                near = receive[i]
+            t = day_s + tod[i]
+            if not np.isnan(near):
+                t = tod[i] + 86400.0 * np.rint((near - tod[i]) / 86400.0)
+        else:
+            if np.isnan(near):
+                near = receive[i]
+            if np.isnan(near):
+                continue
+            # A day is no whole number of periods: each day is tried by itself.
+            t = np.inf
+            most = np.floor((86399.999 - tod[i]) / period[i])
+            for day in range(-1, 2):
+                begin = 86400.0 * (np.floor(near / 86400.0) + day) + tod[i]
+                one = begin + period[i] * min(max(np.rint((near - begin) / period[i]), 0.0), most)
+                if abs(one - near) < abs(t - near):
+                    t = one
         out[i] = last[source[i]] = latest = t
     return latest
 
@@ -511,7 +559,7 @@ class _Program(NamedTuple):
 
 def _listed(item: uap.Item) -> bool:
     """Whether an item is a list of codes that goes on while FX is set."""
-    return item.kind == uap.EXTENDED and len(item.fields) == 1 and item.fields[0].bits == 7
+    return item.kind == uap.EXTENDED and ((len(item.fields) == 1 and item.fields[0].bits == 7) or item.size == 3)
 
 
 def _find(category: int, edition: str, text: str) -> tuple[int, uap.Item, uap.Field]:
@@ -584,7 +632,8 @@ class DecodeState:
 
     `day` is the UTC day (since 1970) of the first record; `latest_s` the last time read, and `stamps` the last one of each source
     (``sac << 8 | sic``): they keep the day across midnight, in both directions.  `editions` are those given or inferred so far.
-    `offset` bytes and `records` records have been read, so that places and numbers are those of the whole stream.
+    `offset` bytes and `records` records have been read, so that places and numbers are those of the whole stream.  Records of
+    other than the wanted `categories` and `sources` (None: all) are read for their time and site, but not kept.
     """
 
     day: int = 0
@@ -593,17 +642,34 @@ class DecodeState:
     editions: Mapping[int, str] = field(default_factory=dict)
     offset: int = 0
     records: int = 0
+    categories: frozenset[int] | None = None
+    sources: frozenset[int] | None = None
 
     @classmethod
-    def begin(cls, date: datetime.date | None = None, editions: Mapping[int, str] | None = None) -> DecodeState:
+    def begin(
+        cls,
+        date: datetime.date | None = None,
+        editions: Mapping[int, str] | None = None,
+        *,
+        categories: Collection[int] | None = None,
+        sources: Collection[int] | None = None,
+    ) -> DecodeState:
         """The state before the first byte; `date` is the UTC date of the first record (none: day 0).
 
-        Raises SettingsError for a category or edition that is unknown.
+        `categories` and `sources` (``sac << 8 | sic``) choose records.  Raises SettingsError for a category or edition that is
+        unknown.
         """
         given = dict(editions or {})
         for category, edition in given.items():
             uap.table_of(category, edition)
-        return cls(day=0 if date is None else (date - datetime.date(1970, 1, 1)).days, editions=given)
+        for category in categories or ():
+            uap.table_of(category, given.get(category) or (uap.default_edition(category) if category in uap.categories() else ""))
+        return cls(
+            day=0 if date is None else (date - datetime.date(1970, 1, 1)).days,
+            editions=given,
+            categories=None if categories is None else frozenset(categories),
+            sources=None if sources is None else frozenset(sources),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -611,23 +677,29 @@ class Records:
     """What some bytes held.  `plots.record` and `fixes.record` are numbers of records in the whole stream.
 
     One row a record, in the order of the stream: absolute byte `offset`, `length`, `category`, `source` (``sac << 8 | sic``),
-    `time_s` (NaN where the record has none), `digest` (equal for equal bytes).  `site` has the positions that the stream tells:
-    source, latitude, longitude (rad), height (m).  `unknown` counts the blocks of categories that cannot be read; `clipped`
-    the positions beyond what their item can hold: they are no fixes.
+    `time_s` (NaN where the record has none), `receive_s` (NaN where not known), `digest` (equal for equal bytes).  `site` has the
+    positions that the stream tells: source, latitude, longitude (rad), height (m).  `unknown` counts the blocks of categories
+    that cannot be read; `clipped` the positions beyond what their item can hold: they are no fixes.  `truncated` counts the
+    times of day that nothing completed; `notes` is what systems say of their sensors: source, category, sensor, what.
     """
 
     plots: Plots
     fixes: Fixes
+    tracks: Tracks
+    marks: Marks
     offset: IntArray
     length: IntArray
     category: AnyArray
     source: AnyArray
     time_s: FloatArray
+    receive_s: FloatArray
     digest: IntArray
     site: tuple[tuple[int, float, float, float], ...]
     damaged: tuple[Damage, ...]
     unknown: Mapping[int, int]
     clipped: int = 0
+    truncated: int = 0
+    notes: Mapping[tuple[int, int, int], str] = field(default_factory=dict)
 
 
 def _columns(
@@ -697,7 +769,9 @@ def _positive(sd: AnyArray) -> AnyArray:
 def _plots(columns: dict[str, Any]) -> dict[str, Any]:
     """The columns of Plots: heading is the orientation, else the course; speed is that of the track."""
     vx, vy = columns.pop("vx", None), columns.pop("vy", None)
-    speed, course, pointing = columns.pop("speed"), columns.pop("course"), columns.pop("orientation", None)
+    speed, course, pointing = columns.pop("speed", None), columns.pop("course", None), columns.pop("orientation", None)
+    if speed is None:
+        return columns
     if vx is not None:
         speed = np.where(np.isnan(speed), np.hypot(vx, vy), speed)
         course = np.where(np.isnan(course), np.mod(np.arctan2(vx, vy), 2 * np.pi), course)
@@ -729,6 +803,21 @@ def _fixes(columns: dict[str, Any]) -> dict[str, Any]:
     bound = columns.pop("time_bound", None)
     if bound is not None:
         columns["time_sd_s"] = bound / np.sqrt(3)
+    return columns
+
+
+def _tracks(columns: dict[str, Any]) -> dict[str, Any]:
+    """The columns of Tracks: the age is that of the youngest measurement, the sd that of the plane, else of the ellipsoid."""
+    ages = np.array([columns.pop(f"age_{name}") for name in uap.AGES])
+    columns["age_s"] = np.where(np.isnan(ages).all(axis=0), np.nan, np.nanmin(np.where(np.isnan(ages), np.inf, ages), axis=0))
+    sd_x, sd_y = columns.pop("sd_x"), columns.pop("sd_y")
+    # An angle's worth on the ellipsoid, to the 0.5 % that an accuracy needs.
+    north = columns.pop("sd_latitude") * EARTH_M
+    east = columns.pop("sd_longitude") * EARTH_M * np.cos(columns["latitude_rad"])
+    plane = np.sqrt((sd_x**2 + sd_y**2) / 2)
+    columns["horizontal_sd_m"] = _positive(np.where(np.isnan(plane), np.sqrt((north**2 + east**2) / 2), plane))
+    columns["vertical_sd_m"] = _positive(columns["vertical_sd_m"])
+    columns.pop("channel")
     return columns
 
 
@@ -821,16 +910,33 @@ def decode(
     `final` says that nothing follows: then everything is consumed, and what is incomplete is damage.  A datagram is final.
     `receive_s` (UTC seconds) is when the data were received: it tells the day; without it, times follow on from the state.
     """
-    buffer = _buffer(data)
+    told = np.nan if receive_s is None else float(receive_s)
+    parts, state, consumed = _decode_all(_buffer(data), state, np.zeros(1, np.int64), np.array([told]), final)
+    return parts[0] if len(parts) == 1 else _join(parts), state, consumed
+
+
+def _decode_all(
+    buffer: ByteArray, state: DecodeState, begin: IntArray, receive_s: FloatArray, final: bool
+) -> tuple[list[Records], DecodeState, int]:
+    """As `decode`, in parts; what begins at `begin` (k,) and after was received at `receive_s` (k,; NaN: not known)."""
     parts: list[Records] = []
     consumed = 0
     while True:
-        records, state, used, go_on = _decode_some(buffer[consumed:], state, receive_s, final)
+        records, state, used, go_on = _decode_some(buffer[consumed:], state, _Reception(begin - consumed, receive_s), final)
         parts.append(records)
         consumed += used
         if not go_on:
-            break
-    return parts[0] if len(parts) == 1 else _join(parts), state, consumed
+            return parts, state, consumed
+
+
+class _Reception(NamedTuple):
+    """When the bytes were received: from `begin` (k,) on at `receive_s` (k,)."""
+
+    begin: IntArray
+    receive_s: FloatArray
+
+    def __call__(self, start: IntArray) -> FloatArray:
+        return self.receive_s[np.maximum(np.searchsorted(self.begin, start, side="right") - 1, 0)]
 
 
 def _buffer(data: bytes | bytearray | memoryview | ByteArray) -> ByteArray:
@@ -846,26 +952,37 @@ def _end(data: ByteArray, pos: int) -> int:
     return pos + (int(data[pos + 1]) << 8 | int(data[pos + 2]))
 
 
+_ROW_COLUMNS = ("offset", "length", "category", "source", "time_s", "receive_s", "digest")
+
+
 def _join(parts: list[Records]) -> Records:
     unknown: dict[int, int] = {}
     for part in parts:
         for category, count in part.unknown.items():
             unknown[category] = unknown.get(category, 0) + count
-    rows = ("offset", "length", "category", "source", "time_s", "digest")
+    notes: dict[tuple[int, int, int], str] = {}
+    for part in parts:
+        notes |= part.notes
     return Records(
-        plots=Plots.concat([p.plots for p in parts]),
-        fixes=Fixes.concat([p.fixes for p in parts]),
-        **{name: np.concatenate([getattr(p, name) for p in parts]) for name in rows},
+        plots=_concat(Plots, [p.plots for p in parts]),
+        fixes=_concat(Fixes, [p.fixes for p in parts]),
+        tracks=_concat(Tracks, [p.tracks for p in parts]),
+        marks=_concat(Marks, [p.marks for p in parts]),
+        **{name: np.concatenate([getattr(p, name) for p in parts]) for name in _ROW_COLUMNS},
         site=tuple(dict.fromkeys(s for p in parts for s in p.site)),
         damaged=tuple(d for p in parts for d in p.damaged),
         unknown=unknown,
         clipped=sum(p.clipped for p in parts),
+        truncated=sum(p.truncated for p in parts),
+        notes=notes,
     )
 
 
-def _decode_some(
-    data: ByteArray, state: DecodeState, receive_s: float | None, final: bool
-) -> tuple[Records, DecodeState, int, bool]:
+def _concat(kind: Any, parts: list[Any]) -> Any:
+    return parts[0] if len(parts) == 1 else kind.concat(parts)
+
+
+def _decode_some(data: ByteArray, state: DecodeState, receive: _Reception, final: bool) -> tuple[Records, DecodeState, int, bool]:
     """One table full of `decode`; the last value says whether there is more to do."""
     editions = dict(state.editions)
     layout = _layout_of(editions)
@@ -931,7 +1048,7 @@ def _decode_some(
         if room - n < _ROWS // 3 and room == _ROWS:
             go_on = True
             break
-    records, state = _assemble(data, state, receive_s, editions, start[:n], length[:n], category[:n], items[:n])
+    records, state = _assemble(data, state, receive, editions, start[:n], length[:n], category[:n], items[:n])
     records = replace(records, damaged=tuple(damaged), unknown={int(c): int(unknown[c]) for c in np.flatnonzero(unknown)})
     return records, replace(state, offset=state.offset + pos), pos, go_on
 
@@ -979,85 +1096,152 @@ def _width() -> int:
 
 
 def _assemble(
-    data: ByteArray, state: DecodeState, receive_s: float | None, editions: dict[int, str],
+    data: ByteArray, state: DecodeState, receive: _Reception, editions: dict[int, str],
     start: IntArray, length: IntArray, category: AnyArray, items: AnyArray,
 ) -> tuple[Records, DecodeState]:  # fmt: skip
     """The walked records as tables, and the state behind them (but for its offset)."""
     n = len(start)
     source = np.zeros(n, np.int32)
-    tod = np.full(n, np.nan)
+    tod, period = np.full(n, np.nan), np.zeros(n)
     which = np.full(n, -1, np.int8)
     groups: list[tuple[int, str, IntArray]] = []
     for cat in np.unique(category).tolist():
         edition = editions.get(cat) or uap.default_edition(cat)
         rows = np.flatnonzero(category == cat)
-        groups.append((cat, edition, rows))
         at = start[rows] + items[rows, _slots(cat, edition)["010"]]
         source[rows] = data[at].astype(np.int32) << 8 | data[at + 1]
-        tod[rows], which[rows] = _times(data, start, items, rows, cat, edition)
+        period[rows] = uap.TRUNCATED_S.get(cat, 0.0)
+        for form, mine in _forms(data, start, items, rows, cat):
+            groups.append((form, edition, mine))
+            tod[mine], which[mine] = _times(data, start, items, mine, form, edition)
     # Days.
     ids, index = np.unique(source, return_inverse=True)
     last = np.array([state.stamps.get(int(s), np.nan) for s in ids])
     time_s = np.full(n, np.nan)
-    if receive_s is None:
-        latest = float(_unwrap(tod, index.astype(np.int64), last, state.latest_s, state.day * DAY_S, time_s))
-    else:
-        time_s = tod + DAY_S * np.rint((receive_s - tod) / DAY_S)
-        latest = state.latest_s
-        timed = np.flatnonzero(np.isfinite(time_s))
-        if len(timed):
-            latest = float(time_s[timed[-1]])
-            last[index[timed]] = time_s[timed]
+    received = receive(start)
+    latest = float(_unwrap(tod, period, index.astype(np.int64), received, last, state.latest_s, state.day * DAY_S, time_s))
     stamps = dict(state.stamps) | {int(s): float(t) for s, t in zip(ids, last, strict=True) if np.isfinite(t)}
-    # Tables.
+    # Sites and notes, also of records that are not wanted.
+    site: dict[tuple[int, float, float, float], None] = {}
+    notes: dict[tuple[int, int, int], str] = {}
+    for form, edition, rows in groups:
+        if form in uap.SITES:
+            texts = uap.SITES[form]
+            mine = rows[_has(items, rows, [_slots(form, edition)[texts[0].partition(".")[0]]])]
+            if len(mine):
+                names = ["lat", "lon", "up"]
+                columns, _ = _columns(data, start, items, mine, form, edition, dict(zip(names, texts, strict=True)), False)
+                told = np.column_stack([source[mine], *(columns[name] for name in names)])
+                for s, *place in np.unique(told, axis=0).tolist():
+                    site[int(s), place[0], place[1], place[2]] = None
+        if form in uap.SENSOR_STATUS:
+            notes |= _notes(data, start, items, rows, source, form, edition)
+    # Numbers of records: those that are not wanted have none.
+    kept = np.ones(n, bool)
+    if state.categories is not None:
+        kept &= np.isin(category, list(state.categories))
+    if state.sources is not None:
+        kept &= np.isin(source, list(state.sources))
+    number = state.records + np.cumsum(kept) - 1
     plots: list[Plots] = []
     fixes: list[Fixes] = []
-    site: dict[tuple[int, float, float, float], None] = {}
+    tracks: list[Tracks] = []
+    marks: list[Marks] = []
     clipped = 0
-    for cat, edition, rows in groups:
-        slots = _slots(cat, edition)
-        if cat in uap.PLOTS:
-            needs, wanted = uap.PLOTS[cat]
+    for form, edition, rows in groups:
+        rows = rows[kept[rows]]
+        slots = _slots(form, edition)
+        if form in uap.PLOTS:
+            needs, wanted = uap.PLOTS[form]
             mine = rows[_has(items, rows, [slots[i] for i in needs])]
-            columns, flags = _columns(data, start, items, mine, cat, edition, wanted, True)
-            plots.append(
-                Plots(time_s=time_s[mine], sensor=source[mine], flags=flags, record=mine + state.records, **_plots(columns))
-            )
-        if (cat, uap.family(cat, edition)) in uap.FIXES:
-            needs, wanted = uap.FIXES[cat, uap.family(cat, edition)]
+            columns, flags = _columns(data, start, items, mine, form, edition, wanted, True)
+            plots.append(Plots(time_s=time_s[mine], sensor=source[mine], flags=flags, record=number[mine], **_plots(columns)))
+        if (form, uap.family(form, edition)) in uap.FIXES:
+            needs, wanted = uap.FIXES[form, uap.family(form, edition)]
             mine = rows[_has(items, rows, [slots[i] for i in needs])]
             if len(mine):
-                columns, flags = _columns(data, start, items, mine, cat, edition, wanted, True)
+                columns, flags = _columns(data, start, items, mine, form, edition, wanted, True)
                 columns = _fixes(columns)
-                if cat == 21:
+                if form == 21:
                     # Only a time of applicability is that of the position; a reception is a little later, a transmission by far.
-                    names = [text for text, _ in uap.TIMES[cat, uap.family(cat, edition)]]
+                    names = [text for text, _ in uap.TIMES[form, uap.family(form, edition)]]
                     reception = np.array([text == "073.073" for text in names] + [False])[which[mine]]
                     transmission = np.array([text == "077.077" for text in names] + [False])[which[mine]]
                     flags = flags | np.where(reception, int(Flag.TIME_OF_RECEPTION), 0)
                     if transmission.any():
                         columns["time_sd_s"] = np.where(transmission, TRANSMISSION_SD_S, columns.get("time_sd_s", np.nan))
-                table = Fixes(time_s=time_s[mine], source=source[mine], flags=flags, record=mine + state.records, **columns)
+                table = Fixes(time_s=time_s[mine], source=source[mine], flags=flags, record=number[mine], **columns)
                 placed = np.isfinite(table.latitude_rad + table.longitude_rad) | np.isfinite(table.x_m + table.y_m)
                 clipped += int(np.count_nonzero(~placed))
                 fixes.append(table if placed.all() else table[placed])
-        if cat in uap.SITES:
-            texts = uap.SITES[cat]
-            mine = rows[_has(items, rows, [slots[texts[0].partition(".")[0]]])]
-            if len(mine):
-                names = ["lat", "lon", "up"]
-                columns, _ = _columns(data, start, items, mine, cat, edition, dict(zip(names, texts, strict=True)), False)
-                told = np.column_stack([source[mine], *(columns[name] for name in names)])
-                for s, *place in np.unique(told, axis=0).tolist():
-                    site[int(s), place[0], place[1], place[2]] = None
+        if form in uap.TRACKS:
+            needs, wanted = uap.TRACKS[form]
+            mine = rows[_has(items, rows, [slots[i] for i in needs])]
+            columns, flags = _columns(data, start, items, mine, form, edition, wanted, True)
+            tracks.append(Tracks(time_s=time_s[mine], source=source[mine], flags=flags, record=number[mine], **_tracks(columns)))
+        if form in uap.MARKS:
+            marks.append(_marks(data, start, items, rows, time_s, source, number, form, edition))
     digest = np.empty(n, np.int64)
     _digest(data, start, length, digest)
+    rows = np.flatnonzero(kept)
     records = Records(
-        plots=_ordered(Plots, plots), fixes=_ordered(Fixes, fixes), offset=start + state.offset, length=length.copy(),
-        category=category.copy(), source=source, time_s=time_s, digest=digest, site=tuple(site), damaged=(), unknown={},
-        clipped=clipped,
+        plots=_ordered(Plots, plots), fixes=_ordered(Fixes, fixes), tracks=_ordered(Tracks, tracks),
+        marks=_ordered(Marks, marks), offset=start[rows] + state.offset, length=length[rows], category=category[rows],
+        source=source[rows], time_s=time_s[rows], receive_s=received[rows], digest=digest[rows], site=tuple(site), damaged=(),
+        unknown={}, clipped=clipped, truncated=int(np.count_nonzero((period > 0) & np.isfinite(tod) & np.isnan(time_s) & kept)),
+        notes=notes,
     )  # fmt: skip
-    return records, replace(state, latest_s=latest, stamps=stamps, editions=editions, records=state.records + n)
+    return records, replace(state, latest_s=latest, stamps=stamps, editions=editions, records=state.records + len(rows))
+
+
+def _forms(data: ByteArray, start: IntArray, items: AnyArray, rows: IntArray, category: int) -> list[tuple[int, IntArray]]:
+    """The records by their list of items: that of the category, or its second one."""
+    if category not in uap.SECOND:
+        return [(category, rows)]
+    at = items[rows, 1]
+    second = (at > 0) & (data[start[rows] + at] >= 0x80)
+    forms = [(category, rows[~second]), (uap.SECOND[category], rows[second])]
+    return [(form, mine) for form, mine in forms if len(mine)]
+
+
+def _marks(
+    data: ByteArray, start: IntArray, items: AnyArray, rows: IntArray, time_s: FloatArray, source: AnyArray, number: IntArray,
+    category: int, edition: str,
+) -> Marks:  # fmt: skip
+    kind, sector, period = uap.MARKS[category]
+    wanted = {"kind": kind, "azimuth_rad": sector, "period_s": period}
+    columns, _ = _columns(data, start, items, rows, category, edition, wanted, False)
+    told = columns.pop("kind")
+    azimuth = np.where(told == uap.NORTH_MARK, 0.0, np.where(told == uap.SOUTH_MARK, np.pi, columns["azimuth_rad"]))
+    use = (told == uap.NORTH_MARK) | (told == uap.SECTOR_MARK) | ((told == uap.SOUTH_MARK) & (category == 2))
+    use &= np.isfinite(azimuth)
+    mine = rows[use]
+    return Marks(
+        time_s=time_s[mine], sensor=source[mine], azimuth_rad=azimuth[use], period_s=columns["period_s"][use], record=number[mine]
+    )
+
+
+def _notes(
+    data: ByteArray, start: IntArray, items: AnyArray, rows: IntArray, source: AnyArray, category: int, edition: str
+) -> dict[tuple[int, int, int], str]:
+    """What a system says of its sensors, the last word on each: (source, category, sensor) to a sentence."""
+    told = uap.SENSOR_STATUS[category]
+    wanted = {f"v{k}": text for k, (text, *_) in enumerate(told)}
+    wanted |= dict(zip(("sac", "sic", "state"), uap.STATUS_OF[category], strict=True))
+    columns, _ = _columns(data, start, items, rows, category, edition, wanted, False)
+    out: dict[tuple[int, int, int], str] = {}
+    for k, row in enumerate(rows.tolist()):
+        sac, sic, state = (columns[name][k] for name in ("sac", "sic", "state"))
+        if np.isnan(sac):
+            continue
+        words = [] if np.isnan(state) else [("operational", "degraded", "initialising", "not connected")[int(state)]]
+        words += [
+            f"{name} {'bias ' if 'gain' not in name else ''}{columns[f'v{j}'][k] * factor:+.5g} {unit}"
+            for j, (_, name, unit, factor) in enumerate(told)
+            if np.isfinite(columns[f"v{j}"][k])
+        ]
+        out[int(source[row]), category, int(sac) << 8 | int(sic)] = ", ".join(words)
+    return out
 
 
 def _ordered(kind: Any, parts: list[Any]) -> Any:
@@ -1102,6 +1286,8 @@ def read_asterix(path: str | Path, *, editions: Mapping[int, str] | None = None,
         path=str(path),
         plots=records.plots,
         fixes=records.fixes,
+        tracks=records.tracks,
+        marks=records.marks,
         sources=_sources(records, state.editions),
         damaged=records.damaged,
         warnings=tuple(warnings),
@@ -1264,21 +1450,27 @@ class ItemRecord:
     edition: str
     items: dict[str, bytes]
 
+    @property
+    def form(self) -> int:
+        """The number of the list of items that the record has: its category, or that of its category's second list."""
+        second = self.category in uap.SECOND and self.items.get("020", b"\0")[0] >= 0x80
+        return uap.SECOND[self.category] if second else self.category
+
     def values(self, name: str) -> list[dict[str, int | float | str]]:
         """The fields of an item, as its category document has them (its units, codes as integers); one dict a repetition.
 
         Extended items have the fields of the parts that are there.  Items without a described inside (RE, SP) give no fields.
         """
         wanted, _, child = name.partition("/")
-        item = next(i for i in uap.items_of(self.category, self.edition) if i is not None and i.name == wanted)
+        item = next(i for i in uap.items_of(self.form, self.edition) if i is not None and i.name == wanted)
         if child:
             item = next(i for i in item.subitems if i is not None and i.name == child)
         raw = self.items[name]
         if item.kind == uap.REPETITIVE:
             return [_values(item, raw[at : at + item.size]) for at in range(1, len(raw), item.size)]
         if item.kind == uap.EXTENDED and _listed(item):
-            return [{item.name: byte >> 1} for byte in raw]
-        return [] if item.kind in (uap.EXPLICIT, uap.COMPOUND) else [_values(item, raw)]
+            return [_values(item, raw[at : at + item.size]) for at in range(0, len(raw), item.size)]
+        return [] if item.kind in (uap.EXPLICIT, uap.COMPOUND, uap.RANDOM) else [_values(item, raw)]
 
 
 def _values(item: uap.Item, raw: bytes) -> dict[str, int | float | str]:
@@ -1315,7 +1507,8 @@ def decode_items(data: bytes, editions: Mapping[int, str] | None = None) -> Iter
         for i in range(n):
             begin, category = pos + int(start[i]), int(cats[i])
             places = items[i].tolist()
-            here = {name: places[slot] for name, slot in _slots(category, known[category]).items() if places[slot]}
+            ((form, _),) = _forms(buffer[pos:], start, items, np.array([i]), category)
+            here = {name: places[slot] for name, slot in _slots(form, known[category]).items() if places[slot]}
             raw = bytes(buffer[begin : begin + int(length[i])])
             yield ItemRecord(begin, category, known[category], _cut(raw, here))
         pos += stop

@@ -8,7 +8,7 @@ One line of a category is ``FRN ITEM STRUCTURE FIELDS…`` (FRN: the bit's numbe
 Structures: ``4`` four bytes; ``1+`` one byte, then more while the last bit (FX) is set; ``3+3`` the same in steps of three
 bytes; ``1?1`` one byte, then at most one more that has no FX; ``*8`` a count, then that many times eight bytes; ``L`` a length
 (counting itself), then bytes; ``{}`` compound: the sub-items follow on lines that start with a dot, in the order of the
-subfield's own FSPEC.
+subfield's own FSPEC; ``R`` random field sequencing: a count, then that many times an FRN and its item.
 
 Fields, from the first bit: ``NAME:bits``, an ``s`` before the bits for two's complement, an ``a`` for six-bit characters,
 ``*LSBunit`` for a quantity (``RHO:16*1/256NM``), ``_n`` for n spare bits, ``/`` where the FX bit closes a part.  A trailing
@@ -42,7 +42,72 @@ SI = {
     "C": 1.0,
     "dBm": 1.0,
     "MHz": 1.0,
+    "Mach": 1.0,
+    "mb": 1.0,
+    "ms": 0.001,
 }
+
+# Category 001 has two lists of items: one for plots, one for tracks; the first bit of I001/020 tells which.
+_CAT001 = """
+1  010 2   SAC:8 SIC:8
+2  020 1+  TYP:1 SIM:1 SSRPSR:2 ANT:1 SPI:1 RAB:1 / TST:1 DS1DS2:2 ME:1 MI:1 _2 /
+3  040 4   RHO:16*1/128NM THETA:16*360/2^16deg
+4  070 2   V:1 G:1 L:1 _1 MODE3A:12
+5  090 2   V:1 G:1 HGT:s14*1/4FL
+6  130 1+  130:7 /
+7  141 2   141:16*1/128s
+8  050 2   V:1 G:1 L:1 _1 MODE2:12
+9  120 1   120:s8*1/256NM/s
+10 131 1   131:s8*1dBm
+11 080 2   _4 QA4:1 QA2:1 QA1:1 QB4:1 QB2:1 QB1:1 QC4:1 QC2:1 QC1:1 QD4:1 QD2:1 QD1:1
+12 100 4   V:1 G:1 _2 MODEC:12 _4 QC1:1 QA1:1 QC2:1 QA2:1 QC4:1 QA4:1 QB1:1 QD1:1 QB2:1 QD2:1 QB4:1 QD4:1
+13 060 2   _4 QA4:1 QA2:1 QA1:1 QB4:1 QB2:1 QB1:1 QC4:1 QC2:1 QC1:1 QD4:1 QD2:1 QD1:1
+14 030 1+  030:7 /
+15 150 1   XA:1 _1 XC:1 _2 X2:1 _2
+20 SP  L
+21 RFS R
+"""
+
+_CAT001_TRACK = """
+1  010 2   SAC:8 SIC:8
+2  020 1+  TYP:1 SIM:1 SSRPSR:2 ANT:1 SPI:1 RAB:1 / TST:1 DS1DS2:2 ME:1 MI:1 _2 /
+3  161 2   161:16
+4  040 4   RHO:16*1/128NM THETA:16*360/2^16deg
+5  042 4   X:s16*1/64NM Y:s16*1/64NM
+6  200 4   GSP:16*1/2^14NM/s HDG:16*360/2^16deg
+7  070 2   V:1 G:1 L:1 _1 MODE3A:12
+8  090 2   V:1 G:1 HGT:s14*1/4FL
+9  141 2   141:16*1/128s
+10 130 1+  130:7 /
+11 131 1   131:s8*1dBm
+12 120 1   120:s8*1/256NM/s
+13 170 1+  CON:1 RAD:1 MAN:1 DOU:1 RDPC:1 _1 GHO:1 / TRE:1 _6 /
+14 210 1+  210:7 /
+15 050 2   V:1 G:1 L:1 _1 MODE2:12
+16 080 2   _4 QA4:1 QA2:1 QA1:1 QB4:1 QB2:1 QB1:1 QC4:1 QC2:1 QC1:1 QD4:1 QD2:1 QD1:1
+17 100 4   V:1 G:1 _2 MODEC:12 _4 QC1:1 QA1:1 QC2:1 QA2:1 QC4:1 QA4:1 QB1:1 QD1:1 QB2:1 QD2:1 QB4:1 QD4:1
+18 060 2   _4 QA4:1 QA2:1 QA1:1 QB4:1 QB2:1 QB1:1 QC4:1 QC2:1 QC1:1 QD4:1 QD2:1 QD1:1
+19 030 1+  030:7 /
+20 SP  L
+21 RFS R
+22 150 1   XA:1 _1 XC:1 _2 X2:1 _2
+"""
+
+_CAT002 = """
+1  010 2   SAC:8 SIC:8
+2  000 1   000:8
+3  020 1   020:8*360/2^8deg
+4  030 3   030:24*1/128s
+5  041 2   041:16*1/128s
+6  050 1+  050:7 /
+7  060 1+  060:7 /
+8  070 *2  A:1 IDENT:5 COUNTER:10
+9  100 8   RS:16*1/128NM RE:16*1/128NM TS:16*360/2^16deg TE:16*360/2^16deg
+10 090 2   RE:s8*1/128NM AE:s8*360/2^14deg
+11 080 1+  080:7 /
+13 SP  L
+14 RFS R
+"""
 
 _CAT010 = """
 1  010 2   SAC:8 SIC:8
@@ -313,9 +378,182 @@ _CAT048 = """
 28 RE  L
 """
 
+_CAT062 = """
+1  010 2   SAC:8 SIC:8
+3  015 1   015:8
+4  070 3   070:24*1/128s
+5  105 8   LAT:s32*180/2^25deg LON:s32*180/2^25deg
+6  100 6   X:s24*1/2m Y:s24*1/2m
+7  185 4   VX:s16*1/4m/s VY:s16*1/4m/s
+8  210 2   AX:s8*1/4m/s2 AY:s8*1/4m/s2
+9  060 2   V:1 G:1 CH:1 _1 MODE3A:12
+10 245 7   STI:2 _6 CHR:a48
+11 380 {}
+.  ADR 3   ADR:24
+.  ID  6   ID:a48
+.  MHG 2   MHG:16*360/2^16deg
+.  IAS 2   IM:1 IAS:15
+.  TAS 2   TAS:16*1kt
+.  SAL 2   SAS:1 SRC:2 ALT:s13*25ft
+.  FSS 2   MV:1 AH:1 AM:1 ALT:s13*25ft
+.  TIS 1+  NAV:1 NVB:1 _5 /
+.  TID *15 TCA:1 NC:1 TCPN:6 ALT:s16*10ft LAT:s24*180/2^23deg LON:s24*180/2^23deg PT:4 TD:2 TRA:1 TOA:1 TOV:24*1s TTR:16*1/100NM
+.  COM 2   COM:3 STAT:3 _2 SSC:1 ARC:1 AIC:1 B1A:1 B1B:4
+.  SAB 2   AC:2 MN:2 DC:2 GBS:1 _6 STAT:3
+.  ACS 7   ACS:56
+.  BVR 2   BVR:s16*25/4ft/min
+.  GVR 2   GVR:s16*25/4ft/min
+.  RAN 2   RAN:s16*1/100deg
+.  TAR 2   TI:2 _6 ROT:s7*1/4deg/s _1
+.  TAN 2   TAN:16*360/2^16deg
+.  GS  2   GS:s16*1/2^14NM/s
+.  VUN 1   VUN:8
+.  MET 8   WS:1 WD:1 TMP:1 TRB:1 _4 WSD:16*1kt WDD:16*1deg TMPD:s16*1/4C TRBD:8
+.  EMC 1   EMC:8
+.  POS 6   LAT:s24*180/2^23deg LON:s24*180/2^23deg
+.  GAL 2   GAL:s16*25/4ft
+.  PUN 1   _4 PUN:4
+.  BDSDATA *8 BDSDATA:64
+.  IAR 2   IAR:16*1kt
+.  MAC 2   MAC:16*1/125Mach
+.  BPS 2   _4 BPS:12*1/10mb
+12 040 2   040:16
+13 080 1+  MON:1 SPI:1 MRH:1 SRC:3 CNF:1 / SIM:1 TSE:1 TSB:1 FPC:1 AFF:1 STP:1 KOS:1 / \\
+           AMA:1 MD4:2 ME:1 MI:1 MD5:2 / CST:1 PSR:1 SSR:1 MDS:1 ADS:1 SUC:1 AAC:1 / \\
+           SDS:2 EMS:3 PFT:1 FPLT:1 / DUPT:1 DUPF:1 DUPM:1 SFC:1 IDD:1 IEC:1 MLAT:1 / M5I:1 _6 /
+14 290 {}
+.  TRK 1   TRK:8*1/4s
+.  PSR 1   PSR:8*1/4s
+.  SSR 1   SSR:8*1/4s
+.  MDS 1   MDS:8*1/4s
+.  ADS 2   ADS:16*1/4s
+.  ES  1   ES:8*1/4s
+.  VDL 1   VDL:8*1/4s
+.  UAT 1   UAT:8*1/4s
+.  LOP 1   LOP:8*1/4s
+.  MLT 1   MLT:8*1/4s
+15 200 1   TRANS:2 LONG:2 VERT:2 ADF:1 _1
+16 295 {}
+.  MFL 1   MFL:8*1/4s
+.  MD1 1   MD1:8*1/4s
+.  MD2 1   MD2:8*1/4s
+.  MDA 1   MDA:8*1/4s
+.  MD4 1   MD4:8*1/4s
+.  MD5 1   MD5:8*1/4s
+.  MHG 1   MHG:8*1/4s
+.  IAS 1   IAS:8*1/4s
+.  TAS 1   TAS:8*1/4s
+.  SAL 1   SAL:8*1/4s
+.  FSS 1   FSS:8*1/4s
+.  TID 1   TID:8*1/4s
+.  COM 1   COM:8*1/4s
+.  SAB 1   SAB:8*1/4s
+.  ACS 1   ACS:8*1/4s
+.  BVR 1   BVR:8*1/4s
+.  GVR 1   GVR:8*1/4s
+.  RAN 1   RAN:8*1/4s
+.  TAR 1   TAR:8*1/4s
+.  TAN 1   TAN:8*1/4s
+.  GSP 1   GSP:8*1/4s
+.  VUN 1   VUN:8*1/4s
+.  MET 1   MET:8*1/4s
+.  EMC 1   EMC:8*1/4s
+.  POS 1   POS:8*1/4s
+.  GAL 1   GAL:8*1/4s
+.  PUN 1   PUN:8*1/4s
+.  MB  1   MB:8*1/4s
+.  IAR 1   IAR:8*1/4s
+.  MAC 1   MAC:8*1/4s
+.  BPS 1   BPS:8*1/4s
+17 136 2   136:s16*1/4FL
+18 130 2   130:s16*25/4ft
+19 135 2   QNH:1 CTB:s15*1/4FL
+20 220 2   220:s16*25/4ft/min
+21 390 {}
+.  TAG 2   SAC:8 SIC:8
+.  CS  7   CS:56
+.  IFI 4   TYP:2 _3 NBR:27
+.  FCT 1   GATOAT:2 FR1FR2:2 RVSM:2 HPR:1 _1
+.  TAC 4   TAC:32
+.  WTC 1   WTC:8
+.  DEP 4   DEP:32
+.  DST 4   DST:32
+.  RDS 3   NU1:8 NU2:8 LTR:8
+.  CFL 2   CFL:16*1/4FL
+.  CTL 2   CENTRE:8 POSITION:8
+.  TOD *4  TYP:5 DAY:2 _4 HOR:5 _2 MIN:6 AVS:1 _1 SEC:6
+.  AST 6   AST:48
+.  STS 1   EMP:2 AVL:2 _4
+.  STD 7   STD:56
+.  STA 7   STA:56
+.  PEM 2   _3 VA:1 MODE3A:12
+.  PEC 7   PEC:56
+22 270 1+  LENGTH:7*1m / ORIENTATION:7*360/128deg / WIDTH:7*1m /
+23 300 1   300:8
+24 110 {}
+.  SUM 1   M5:1 ID:1 DA:1 M1:1 M2:1 M3:1 MC:1 X:1
+.  PMN 4   _2 PIN:14 _3 NAT:5 _2 MIS:6
+.  POS 6   LAT:s24*180/2^23deg LON:s24*180/2^23deg
+.  GA  2   _1 RES:1 GA:s14*25ft
+.  EM1 2   _4 EM1:12
+.  TOS 1   TOS:s8*1/128s
+.  XP  1   _3 X5:1 XC:1 X3:1 X2:1 X1:1
+25 120 2   _4 MODE2:12
+26 510 3+3 IDENT:8 TRACK:15 /
+27 500 {}
+.  APC 4   X:16*1/2m Y:16*1/2m
+.  COV 2   COV:s16*1/2m
+.  APW 4   LAT:16*180/2^25deg LON:16*180/2^25deg
+.  AGA 1   AGA:8*25/4ft
+.  ABA 1   ABA:8*1/4FL
+.  ATV 2   X:8*1/4m/s Y:8*1/4m/s
+.  AA  2   X:8*1/4m/s2 Y:8*1/4m/s2
+.  ARC 1   ARC:8*25/4ft/min
+28 340 {}
+.  SID 2   SAC:8 SIC:8
+.  POS 4   RHO:16*1/256NM THETA:16*360/2^16deg
+.  HEIGHT 2 HEIGHT:s16*25ft
+.  MDC 2   V:1 G:1 LMC:s14*1/4FL
+.  MDA 2   V:1 G:1 L:1 _1 MODE3A:12
+.  TYP 1   TYP:3 SIM:1 RAB:1 TST:1 _2
+34 RE  L
+35 SP  L
+"""
+
+_CAT063 = """
+1  010 2   SAC:8 SIC:8
+2  015 1   015:8
+3  030 3   030:24*1/128s
+4  050 2   SAC:8 SIC:8
+5  060 1+  CON:2 PSR:1 SSR:1 MDS:1 ADS:1 MLT:1 / OPS:1 ODP:1 OXT:1 MSC:1 TSV:1 NPW:1 _1 / \\
+           TTF_EP:1 TTF_VAL:1 SPO_EP:1 SPO_VAL:1 _3 /
+6  070 2   070:s16*1ms
+7  080 4   SRG:s16*1/10^5 SRB:s16*1/128NM
+8  081 2   081:s16*360/2^16deg
+9  090 4   PRG:s16*1/10^5 PRB:s16*1/128NM
+10 091 2   091:s16*360/2^16deg
+11 092 2   092:s16*360/2^16deg
+13 RE  L
+14 SP  L
+"""
+
+_CAT065 = """
+1  010 2   SAC:8 SIC:8
+2  000 1   000:8
+3  015 1   015:8
+4  030 3   030:24*1/128s
+5  020 1   020:8
+6  040 1   NOGO:2 OVL:1 TSV:1 PSS:2 STTN:1 _1
+7  050 1   050:8
+13 RE  L
+14 SP  L
+"""
+
 # The tables by category and edition: a text, or the edition that it changes and the lines that replace those with the same FRN.
 # An "x" stands for editions that only append to each other: what is new in them lies in extensions or spare bits.
 _TABLES: dict[int, dict[str, tuple[str, ...]]] = {
+    1: {"1.x": (_CAT001,)},
+    2: {"1.x": (_CAT002,)},
     10: {"1.1": (_CAT010,)},
     19: {"1.3": (_CAT019,)},
     20: {"1.x": (_CAT020,)},
@@ -333,14 +571,25 @@ _TABLES: dict[int, dict[str, tuple[str, ...]]] = {
     },
     34: {"1.x": (_CAT034,)},
     48: {"1.x": (_CAT048,)},
+    62: {"1.x": (_CAT062,)},
+    63: {"1.x": (_CAT063,)},
+    65: {"1.x": (_CAT065,)},
 }
+
+# Categories with a second list of items: where the first bit of item 020 is set, a record has that of the number on the right.
+# That number stands for a category of its own wherever columns are asked for; it is not one that a block can have.
+SECOND: dict[int, int] = {1: 256}
+_SECOND_TABLES: dict[int, dict[str, tuple[str, ...]]] = {256: {"1.x": (_CAT001_TRACK,)}}
 
 # Published editions that have the table of another one.
 _SAME = {
     (20, f"1.{n}"): "1.x" for n in range(0, 12)
 } | {(21, f"2.{n}"): "2.x" for n in range(2, 8)} | {(21, "0.24"): "0.25"} | {(34, f"1.{n}"): "1.x" for n in range(20, 30)} | {
     (48, f"1.{n}"): "1.x" for n in range(14, 33)
-} | {(19, f"1.{n}"): "1.3" for n in range(0, 4)}  # fmt: skip
+} | {(19, f"1.{n}"): "1.3" for n in range(0, 4)} | {
+    (c, f"1.{n}"): "1.x" for c, editions in {1: range(2, 5), 2: range(3), 62: range(16, 22), 63: (6, 7), 65: range(4, 7)}.items()
+    for n in editions
+}  # fmt: skip
 
 # What is tried where the edition of a category is not given, the likeliest first.  Other categories have one table.
 INFERRED: dict[int, tuple[str, ...]] = {21: ("2.x", "0.23", "0.26")}
@@ -372,7 +621,7 @@ class Item(NamedTuple):
     subitems: tuple[Item | None, ...]
 
 
-UNDEFINED, FIXED, EXTENDED, REPETITIVE, EXPLICIT, COMPOUND = range(6)
+UNDEFINED, FIXED, EXTENDED, REPETITIVE, EXPLICIT, COMPOUND, RANDOM = range(7)
 
 
 def _number(text: str) -> float:
@@ -427,6 +676,8 @@ def _item(words: list[str]) -> Item | None:
     size = step = most = 0
     if structure == "L":
         kind = EXPLICIT
+    elif structure == "R":
+        kind = RANDOM
     elif structure == "{}":
         kind = COMPOUND
     elif structure[0] == "*":
@@ -487,6 +738,8 @@ def default_edition(category: int) -> str:
 @cache
 def items_of(category: int, edition: str) -> tuple[Item | None, ...]:
     """The items of a category in the order of its FSPEC bits; None where a bit has no item."""
+    if category in _SECOND_TABLES:
+        return _parse(_SECOND_TABLES[category][edition])
     return _parse(_TABLES[category][table_of(category, edition)])
 
 
@@ -506,12 +759,22 @@ class Columns(NamedTuple):
 _TRANSPONDER = "unless V G"
 _DAMAGED_CODE = Flag.GARBLED
 
+_CAT001_PLOT = {
+    "range_m": "040.RHO",
+    "azimuth_rad": "040.THETA",
+    "pressure_altitude_m": f"090.HGT {_TRANSPONDER}",
+    "mode_3a": f"070.MODE3A {_TRANSPONDER}",
+}
+
 PLOTS: dict[int, Columns] = {
+    1: Columns(("040",), _CAT001_PLOT),
+    256: Columns(("040",), {**_CAT001_PLOT, "track": "161.161", "speed": "200.GSP", "course": "200.HDG"}),
     10: Columns(
         ("040",),
         {
             "range_m": "040.RHO",
             "azimuth_rad": "040.TH",
+            "height_m": "091.091",
             "pressure_altitude_m": f"090.FL {_TRANSPONDER}",
             "mode_s": "220.220",
             "mode_3a": f"060.MODE3A {_TRANSPONDER}",
@@ -546,6 +809,18 @@ PLOTS: dict[int, Columns] = {
 }
 
 FIXES: dict[tuple[int, str], Columns] = {
+    (256, ""): Columns(
+        ("042",),
+        {
+            "x_m": "042.X unless clipped",
+            "y_m": "042.Y unless clipped",
+            "pressure_altitude_m": f"090.HGT {_TRANSPONDER}",
+            "mode_3a": f"070.MODE3A {_TRANSPONDER}",
+            "track": "161.161",
+            "speed": "200.GSP",
+            "course": "200.HDG",
+        },
+    ),
     (10, ""): Columns(
         ("041", "042"),
         {
@@ -553,6 +828,7 @@ FIXES: dict[tuple[int, str], Columns] = {
             "longitude_rad": "041.LON",
             "x_m": "042.X unless clipped",
             "y_m": "042.Y unless clipped",
+            "height_m": "091.091",
             "pressure_altitude_m": f"090.FL {_TRANSPONDER}",
             "mode_s": "220.220",
             "mode_3a": f"060.MODE3A {_TRANSPONDER}",
@@ -642,11 +918,73 @@ FIXES: dict[tuple[int, str], Columns] = {
     ),
 }
 
+# States of tracks.  The ages are those of the kinds of measurement that may have gone in: the youngest one counts.
+AGES = ("PSR", "SSR", "MDS", "ADS", "ES", "VDL", "UAT", "LOP", "MLT")
+TRACKS: dict[int, Columns] = {
+    62: Columns(
+        ("040",),
+        {
+            "track": "040.040",
+            "latitude_rad": "105.LAT",
+            "longitude_rad": "105.LON",
+            "x_m": "100.X unless clipped",
+            "y_m": "100.Y unless clipped",
+            "height_m": "130.130",
+            "pressure_altitude_m": "136.136 | 135.CTB unless QNH",
+            "velocity_east_mps": "185.VX",
+            "velocity_north_mps": "185.VY",
+            "velocity_up_mps": "220.220",
+            "acceleration_east_mps2": "210.AX",
+            "acceleration_north_mps2": "210.AY",
+            "mode_s": "380/ADR.ADR",
+            "mode_3a": f"060.MODE3A {_TRANSPONDER}",
+            "callsign": "380/ID.ID | 245.CHR",
+            "length_m": "270.LENGTH",
+            "width_m": "270.WIDTH",
+            "heading_rad": "270.ORIENTATION",
+            "sd_x": "500/APC.X",
+            "sd_y": "500/APC.Y",
+            "sd_latitude": "500/APW.LAT",
+            "sd_longitude": "500/APW.LON",
+            "vertical_sd_m": "500/AGA.AGA",
+            **{f"age_{name}": f"290/{name}.{name}" for name in AGES},
+        },
+    ),
+}
+
+# Marks of the antenna's turn: the kind of message, the azimuth of a sector, the period of rotation.
+MARKS: dict[int, tuple[str, str, str]] = {
+    2: ("000.000", "020.020", "041.041"),
+    34: ("000.000", "020.020", "041.041"),
+}
+NORTH_MARK, SECTOR_MARK, SOUTH_MARK = 1, 2, 3
+
+# What a tracking system says of its sensors' errors: the item, its name, the unit to tell it in, and what one SI unit is there.
+SENSOR_STATUS: dict[int, tuple[tuple[str, str, str, float], ...]] = {
+    63: (
+        ("070.070", "time", "ms", 1e3),
+        ("080.SRG", "SSR range gain", "m/km", 1e3),
+        ("080.SRB", "SSR range", "m", 1.0),
+        ("081.081", "SSR azimuth", "deg", 57.29577951308232),
+        ("090.PRG", "PSR range gain", "m/km", 1e3),
+        ("090.PRB", "PSR range", "m", 1.0),
+        ("091.091", "PSR azimuth", "deg", 57.29577951308232),
+        ("092.092", "PSR elevation", "deg", 57.29577951308232),
+    ),
+}
+STATUS_OF = {63: ("050.SAC", "050.SIC", "060.CON")}
+
 # The columns that are codes (integers); all others are quantities.
 CODES = frozenset({"mode_s", "mode_3a", "callsign", "track", "nacp", "gva", "version", "length_width"})
 
 # Time of day: the first item that a record has; the second name is the high-precision fraction that goes with it.
 TIMES: dict[tuple[int, str], tuple[tuple[str, str], ...]] = {
+    (1, ""): (("141.141", ""),),
+    (256, ""): (("141.141", ""),),
+    (2, ""): (("030.030", ""),),
+    (62, ""): (("070.070", ""),),
+    (63, ""): (("030.030", ""),),
+    (65, ""): (("030.030", ""),),
     (10, ""): (("140.140", ""),),
     (19, ""): (("140.140", ""),),
     (20, ""): (("140.140", ""),),
@@ -656,6 +994,9 @@ TIMES: dict[tuple[int, str], tuple[tuple[str, str], ...]] = {
     (48, ""): (("140.140", ""),),
 }
 
+# Categories whose time of day is cut to its low 16 bits: it begins anew every 512 s (and at midnight).
+TRUNCATED_S: dict[int, float] = {1: 512.0}
+
 # Flags: the field, its values (none: any but zero; a list item is looked through), and what they mean.
 _REPLY_WARNINGS: tuple[tuple[str, tuple[int, ...], Flag], ...] = (
     ("030.030", (1, 10), Flag.REFLECTION),
@@ -663,7 +1004,29 @@ _REPLY_WARNINGS: tuple[tuple[str, tuple[int, ...], Flag], ...] = (
     ("030.030", (4,), Flag.SECOND_TIME),
     ("030.030", (6,), Flag.VEHICLE),
 )
+_CAT001_FLAGS: tuple[tuple[str, tuple[int, ...], Flag], ...] = (
+    ("020.SIM", (), Flag.SIMULATED),
+    ("020.TST", (), Flag.TEST),
+    ("020.RAB", (), Flag.FIELD_MONITOR),
+    ("020.SSRPSR", (0,), Flag.EXTRAPOLATED),
+    ("070.G", (), _DAMAGED_CODE),
+    ("090.G", (), _DAMAGED_CODE),
+    ("030.030", (1,), Flag.GARBLED),
+    ("030.030", (2, 66), Flag.REFLECTION),
+    ("030.030", (3,), Flag.SIDE_LOBE),
+    ("030.030", (5,), Flag.SECOND_TIME),
+    ("030.030", (7,), Flag.VEHICLE),
+)
 FLAGS: dict[tuple[int, str], tuple[tuple[str, tuple[int, ...], Flag], ...]] = {
+    (1, ""): _CAT001_FLAGS,
+    (256, ""): (*_CAT001_FLAGS, ("170.GHO", (), Flag.REFLECTION), ("170.TRE", (), Flag.TRACK_END)),
+    (62, ""): (
+        ("080.SIM", (), Flag.SIMULATED),
+        ("080.TSE", (), Flag.TRACK_END),
+        ("080.CST", (), Flag.EXTRAPOLATED),
+        ("080.SFC", (), Flag.GROUND),
+        ("060.G", (), _DAMAGED_CODE),
+    ),
     (10, ""): (
         ("020.SIM", (), Flag.SIMULATED),
         ("020.TST", (), Flag.TEST),
@@ -719,7 +1082,11 @@ FLAGS: dict[tuple[int, str], tuple[tuple[str, tuple[int, ...], Flag], ...]] = {
 }
 
 # Which chain measured: the field whose value is looked up, or none where the category says it.
+_CAT001_CHANNELS = ("020.SSRPSR", (Channel.UNKNOWN, Channel.PSR, Channel.SSR, Channel.SSR_PSR))
 CHANNELS: dict[int, tuple[str, tuple[Channel, ...]]] = {
+    1: _CAT001_CHANNELS,
+    256: _CAT001_CHANNELS,
+    62: ("", (Channel.UNKNOWN,)),
     10: (
         "020.TYP",
         (
