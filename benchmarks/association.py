@@ -1,6 +1,6 @@
 """Association without any identity on 90 aircraft: right tracks, wrong pairs, over many seeds.
 
-    python benchmarks/association.py [SEEDS]
+    python benchmarks/association.py [--seeds 10] [--quick]
 
 The scene is `boresight.simulation.association_scene`: 90 aircraft within 100 km, a primary radar with track numbers and no
 identity, azimuth biases to 2.8°, a fifth of the aircraft without ADS-B.  Every declared pair of plot and target is counted
@@ -10,6 +10,7 @@ at most 1 % of the declared pairs are wrong.
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 
@@ -81,4 +82,8 @@ def main(seeds: int) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 10))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--quick", action="store_true", help="2 seeds")
+    given = parser.parse_args()
+    sys.exit(main(2 if given.quick else given.seeds))

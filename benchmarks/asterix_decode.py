@@ -81,7 +81,10 @@ def main() -> None:
     parser.add_argument("--records", type=int, default=50_000)
     parser.add_argument("--seconds", type=float, default=3.0)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--quick", action="store_true", help="one second each")
     options = parser.parse_args()
+    if options.quick:
+        options.seconds = 1.0
     data, what = load(options.file, options.records)
     rate, first = ours(data, options.seconds)
     peer = libasterix(data, options.seconds)

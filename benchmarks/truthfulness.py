@@ -126,7 +126,10 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--scenes", default=",".join(SCENES))
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="2 seeds of one scene")
     given = parser.parse_args()
+    if given.quick:
+        given.seeds, given.scenes = 2, "full"
     tables = {}
     print(f"{'scene':10s} {'candidate':10s} {'NEES/dof':>14s} {'in 2 sd':>8s} {'in 3 sd':>8s} {'worst term':>10s}")
     for name in given.scenes.split(","):

@@ -17,8 +17,8 @@ from boresight.calibration import (
     NotDetermined,
     Summary,
     TermKey,
-    load,
-    save,
+    load_calibration,
+    save_calibration,
     summary_json,
 )
 from boresight.errors import InputError
@@ -54,8 +54,8 @@ def example(epochs: int = 1) -> Calibration:
 @pytest.mark.parametrize("epochs", [1, 3])
 def test_round_trip(tmp_path: Path, epochs: int) -> None:
     before = example(epochs)
-    save(before, tmp_path / "c.json")
-    after = load(tmp_path / "c.json")
+    save_calibration(before, tmp_path / "c.json")
+    after = load_calibration(tmp_path / "c.json")
     assert after.terms == before.terms
     assert np.allclose(after.value, before.value, rtol=1e-15, atol=0)
     assert np.allclose(after.covariance, before.covariance, rtol=1e-14, atol=0)
@@ -69,7 +69,7 @@ def test_round_trip(tmp_path: Path, epochs: int) -> None:
         before.not_determined, before.inputs, before.warnings, before.settings, before.version,
     )  # fmt: skip
     # The same calibration gives the same bytes.
-    save(before, tmp_path / "d.json")
+    save_calibration(before, tmp_path / "d.json")
     assert (tmp_path / "c.json").read_bytes() == (tmp_path / "d.json").read_bytes()
     # Nothing else is left behind.
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c.json", "d.json"]
@@ -77,7 +77,7 @@ def test_round_trip(tmp_path: Path, epochs: int) -> None:
 
 def test_the_file_is_in_the_units_of_the_terms(tmp_path: Path) -> None:
     c = example()
-    save(c, tmp_path / "c.json")
+    save_calibration(c, tmp_path / "c.json")
     data = json.loads((tmp_path / "c.json").read_text(), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
     assert data["schema"] == SCHEMA
     assert data["epoch"] == ["2023-11-14T22:13:20Z"]
@@ -146,12 +146,12 @@ def test_intervals_are_those_of_the_t_distribution() -> None:
 )
 def test_what_is_no_calibration_is_refused(tmp_path: Path, change, match: str) -> None:
     path = tmp_path / "c.json"
-    save(example(), path)
+    save_calibration(example(), path)
     data = json.loads(path.read_text())
     change(data)
     path.write_text(json.dumps(data))
     with pytest.raises(InputError, match=match) as caught:
-        load(path)
+        load_calibration(path)
     assert str(path) in str(caught.value)
     assert caught.value.remedy
 
@@ -161,20 +161,20 @@ def test_other_files_are_refused(tmp_path: Path, text: bytes) -> None:
     path = tmp_path / "c.json"
     path.write_bytes(text)
     with pytest.raises(InputError, match="is no calibration"):
-        load(path)
+        load_calibration(path)
 
 
 def test_places_that_cannot_be_read_or_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
-        load(tmp_path / "absent.json")
-    with pytest.raises(InputError, match="cannot be written"):
-        save(example(), tmp_path / "no folder" / "c.json")
+        load_calibration(tmp_path / "absent.json")
+    with pytest.raises(InputError, match="does not exist"):
+        save_calibration(example(), tmp_path / "no folder" / "c.json")
     # A file that is replaced is whole at every moment: a failing save leaves the old one.
     path = tmp_path / "c.json"
-    save(example(), path)
+    save_calibration(example(), path)
     old = path.read_bytes()
     (tmp_path / "folder").mkdir()
     with pytest.raises(InputError):
-        save(example(), tmp_path / "folder")
+        save_calibration(example(), tmp_path / "folder")
     assert path.read_bytes() == old
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c.json", "folder"]

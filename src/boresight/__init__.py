@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .alignment import locate, states, trajectories
     from .assessment.residuals import Residuals, residuals
     from .association import Association, associate, search
-    from .calibration import Calibration, load_calibration
+    from .calibration import Calibration, load_calibration, save_calibration
     from .correction import correct
     from .errors import BoresightError, InputError, NothingToDo, SettingsError
     from .model import Channel, Fixes, Flag, Pairs, Plots, Recording, Sensor, Sensors, load_sensors
@@ -39,7 +39,7 @@ _HOME = {
     "alignment": ("locate", "states", "trajectories"),
     "assessment.residuals": ("Residuals", "residuals"),
     "association": ("Association", "associate", "search"),
-    "calibration": ("Calibration", "load_calibration"),
+    "calibration": ("Calibration", "load_calibration", "save_calibration"),
     "correction": ("correct",),
     "errors": ("BoresightError", "InputError", "NothingToDo", "SettingsError"),
     "model": ("Channel", "Fixes", "Flag", "Pairs", "Plots", "Recording", "Sensor", "Sensors", "load_sensors"),
@@ -77,6 +77,7 @@ __all__ = [
     "read",
     "register",
     "residuals",
+    "save_calibration",
     "search",
     "states",
     "trajectories",

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import datetime
-import os
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from ._files import write_bytes
 from ._types import FloatArray
 from .errors import InputError
 from .terms import DEG, TERMS
@@ -239,7 +237,7 @@ def _units(terms: tuple[TermKey, ...]) -> FloatArray:
     return np.array([si_per_unit(key) for key in terms], np.float64)
 
 
-def save(calibration: Calibration, path: str | Path) -> None:
+def save_calibration(calibration: Calibration, path: str | Path) -> None:
     """Write calibration.json: whole or not at all, values and covariance in the units of the terms, what is not known null.
 
     Raises InputError where the file cannot be written.
@@ -285,33 +283,10 @@ def save(calibration: Calibration, path: str | Path) -> None:
         settings=calibration.settings,
     )
     text = msgspec.json.format(msgspec.json.encode(file), indent=1) + b"\n"
-    _write_whole(Path(path), text)
+    write_bytes(path, text)
 
 
-def _write_whole(path: Path, data: bytes) -> None:
-    """Write beside, then rename, so that no half-written file is ever seen."""
-    try:
-        handle, beside = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror})", path=path) from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(beside, 0o666 & ~mask)
-        os.replace(beside, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            os.unlink(beside)
-        raise InputError(f"cannot be written ({error.strerror})", path=path) from error
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(beside)
-        raise
-
-
-def load(path: str | Path) -> Calibration:
+def load_calibration(path: str | Path) -> Calibration:
     """Read calibration.json.
 
     Raises InputError, naming the file and the place in it, for a file that cannot be read, is no calibration, is of another

@@ -78,7 +78,7 @@ def calibrate(
     from .assessment.residuals import residuals
     from .association import search
     from .measure import site_warnings
-    from .register import register
+    from .registration import register
 
     if not plots or not reference:
         raise InputError("at least one recording of plots and one of reference positions are needed")
@@ -120,7 +120,7 @@ def calibrate(
 
 def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> None:
     """Write calibration.json, residuals.parquet and report.html into the folder `out`, keeping what was there."""
-    from .calibration import save
+    from .calibration import save_calibration
     from .report import write_report
     from .writing.tables import write_table
 
@@ -129,7 +129,7 @@ def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> 
     except OSError as error:
         raise InputError(f"is no folder that can be written to ({error.strerror})", path=out) from error
     _keep_earlier(out, _RESULTS)
-    save(run.calibration, out / "calibration.json")
+    save_calibration(run.calibration, out / "calibration.json")
     write_table(out / "residuals.parquet", run.residuals)
     write_report(
         out / "report.html",
@@ -154,12 +154,12 @@ def correct_files(
 ) -> tuple[int, tuple[str, ...]]:
     """Correct the plots of recordings and write them as a table; returns the number of rows and the warnings."""
     from .alignment import apply_time_offsets
-    from .calibration import load
-    from .correct import correct_and_say
+    from .calibration import load_calibration
+    from .correction import correct_and_say
     from .writing.tables import write_table
 
     warnings: list[str] = []
-    found = load(calibration)
+    found = load_calibration(calibration)
     recordings = _read_all(plots, editions, date, warnings, progress)
     progress("correcting")
     table = Plots.concat([r.plots for r in recordings])

@@ -173,7 +173,7 @@ def sites(plots: Plots, sensors: Sensors) -> tuple[FloatArray, FloatArray]:
 
 
 def site_warnings(plots: Plots, sensors: Sensors, *, positions: bool = True) -> tuple[str, ...]:
-    """What the user must know of antenna heights and north references that `sensors.toml` does not give, with the effect in metres.
+    """What the user must know of heights and north references that `sensors.toml` does not give, with the effect in metres.
 
     With `positions`, also of the height of the ground, which matters where plots are to be placed without a reference.
     """

@@ -84,38 +84,51 @@ def _along_heading(g: Geometry) -> FloatArray:
     return _displace(g, np.where(known, np.sin(heading), 0.0), np.where(known, np.cos(heading), 0.0), 0.0)
 
 
+def _range(value: FloatArray | float, g: Geometry) -> FloatArray:
+    return _stack(value, 0.0, 0.0, g)
+
+
+def _azimuth(value: FloatArray | float, g: Geometry) -> FloatArray:
+    return _stack(0.0, value, 0.0, g)
+
+
+def _tilt(g: Geometry, toward_rad: float) -> FloatArray:
+    """The azimuth axis leans so that the elevation is read too large toward this azimuth."""
+    away = g.azimuth_rad - toward_rad
+    return _stack(0.0, np.sin(away) * _tan(g), np.cos(away), g)
+
+
+def _along_heading_per_length(g: Geometry) -> FloatArray:
+    return _along_heading(g) * np.where(np.isfinite(g.length_m), g.length_m, 0.0)[:, None]
+
+
+_NONE: frozenset[str] = frozenset()
 _LIST = (
-    Term("range_bias", "m", 1.0, 500.0, frozenset(), lambda g: _stack(1.0, 0.0, 0.0, g), "constant error of the range"),
+    Term("range_bias", "m", 1.0, 500.0, _NONE, lambda g: _range(1.0, g), "the radar reads too far by this, everywhere"),
     Term(
-        "range_gain", "m/km", 1e-3, 1e-2, frozenset(), lambda g: _stack(g.range_m, 0.0, 0.0, g),
+        "range_gain", "m/km", 1e-3, 1e-2, _NONE, lambda g: _range(g.range_m, g),
         "error proportional to the range (clock of the range counter, uncorrected propagation)",
     ),
-    Term("azimuth_bias", "deg", DEG, 3 * DEG, frozenset(), lambda g: _stack(0.0, 1.0, 0.0, g), "constant error of the azimuth (north alignment)"),
-    Term("azimuth_cos", "deg", DEG, DEG, frozenset(), lambda g: _stack(0.0, np.cos(g.azimuth_rad), 0.0, g), "encoder eccentricity, cosine part"),
-    Term("azimuth_sin", "deg", DEG, DEG, frozenset(), lambda g: _stack(0.0, np.sin(g.azimuth_rad), 0.0, g), "encoder eccentricity, sine part"),
-    Term("elevation_bias", "deg", DEG, 2 * DEG, frozenset({"elevation"}), lambda g: _stack(0.0, 0.0, 1.0, g), "constant error of the elevation"),
+    Term("azimuth_bias", "deg", DEG, 3 * DEG, _NONE, lambda g: _azimuth(1.0, g), "the picture is turned clockwise (north alignment)"),
+    Term("azimuth_cos", "deg", DEG, DEG, _NONE, lambda g: _azimuth(np.cos(g.azimuth_rad), g), "encoder eccentricity, cosine part"),
+    Term("azimuth_sin", "deg", DEG, DEG, _NONE, lambda g: _azimuth(np.sin(g.azimuth_rad), g), "encoder eccentricity, sine part"),
     Term(
-        "tilt_north", "deg", DEG, DEG, frozenset(),
-        lambda g: _stack(0.0, np.sin(g.azimuth_rad) * _tan(g), np.cos(g.azimuth_rad), g),
-        "the azimuth axis leans: elevation too large in the north",
+        "elevation_bias", "deg", DEG, 2 * DEG, frozenset({"elevation"}), lambda g: _stack(0.0, 0.0, 1.0, g),
+        "the radar reads too high by this, everywhere",
     ),
-    Term(
-        "tilt_east", "deg", DEG, DEG, frozenset(),
-        lambda g: _stack(0.0, -np.cos(g.azimuth_rad) * _tan(g), np.sin(g.azimuth_rad), g),
-        "the azimuth axis leans: elevation too large in the east",
-    ),
-    Term("time_offset", "s", 1.0, 5.0, frozenset({"rate"}), lambda g: -g.rate, "stamp minus true time: positive where plots are stamped late"),
-    Term("site_east", "m", 1.0, 100.0, frozenset(), lambda g: _displace(g, -1.0, 0.0, 0.0), "the antenna stands east of the position given"),
-    Term("site_north", "m", 1.0, 100.0, frozenset(), lambda g: _displace(g, 0.0, -1.0, 0.0), "the antenna stands north of the position given"),
-    Term("site_up", "m", 1.0, 100.0, frozenset(), lambda g: _displace(g, 0.0, 0.0, -1.0), "the antenna stands above the position given"),
+    Term("tilt_north", "deg", DEG, DEG, _NONE, lambda g: _tilt(g, 0.0), "the azimuth axis leans: elevation too large in the north"),
+    Term("tilt_east", "deg", DEG, DEG, _NONE, lambda g: _tilt(g, np.pi / 2), "the azimuth axis leans: elevation too large in the east"),
+    Term("time_offset", "s", 1.0, 5.0, frozenset({"rate"}), lambda g: -g.rate, "stamp minus true time: plots are stamped late"),
+    Term("site_east", "m", 1.0, 100.0, _NONE, lambda g: _displace(g, -1.0, 0.0, 0.0), "the antenna stands east of the position given"),
+    Term("site_north", "m", 1.0, 100.0, _NONE, lambda g: _displace(g, 0.0, -1.0, 0.0), "the antenna stands north of the position given"),
+    Term("site_up", "m", 1.0, 100.0, _NONE, lambda g: _displace(g, 0.0, 0.0, -1.0), "the antenna stands above the position given"),
     Term(
         "along_heading", "m", 1.0, 30.0, frozenset({"heading"}), _along_heading,
         "the echo lies ahead of the reference's antenna along the target's heading",
     ),
     Term(
-        "along_heading_per_length", "m/m", 1.0, 1.0, frozenset({"heading", "length"}),
-        lambda g: _along_heading(g) * np.where(np.isfinite(g.length_m), g.length_m, 0.0)[:, None],
-        "the same, in proportion to the target's length",
+        "along_heading_per_length", "m/m", 1.0, 1.0, frozenset({"heading", "length"}), _along_heading_per_length,
+        "the echo lies ahead of the reference's antenna by this share of the target's length",
     ),
 )  # fmt: skip
 

@@ -18,7 +18,7 @@ from ..calibration import Calibration
 from ..geodesy import enu_from_ecef, geodetic_from_ecef, rotate
 from ..measure import polar_from_enu, polar_motion, position_from_height, sites, true_azimuth, wrap_rad
 from ..model import Channel, Pairs, Sensors, _column, _float, _Table
-from ..register.observe import fill_lengths
+from ..registration.observe import fill_lengths
 from ..terms import TERMS, Geometry
 
 _LEAST_SPEED_MPS = 1.0

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -14,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .._files import write_text
 from .._types import FloatArray
-from ..errors import InputError
 from ..terms import TERMS
 from . import figures as draw
 
@@ -54,9 +52,6 @@ _WORDS: dict[str, tuple[str, str]] = {
 }
 
 # Meanings that only make sense next to another term's.
-_MEANING = {
-    "along_heading_per_length": "the echo lies ahead of the reference's antenna by this share of the target's length",
-}
 
 # Why a plot took no part, in words that need no knowledge of the program.
 _REASONS = {
@@ -111,24 +106,7 @@ def write_report(
         calibration, residuals, sensors, title=title, truth=truth, warnings=warnings, clock=clock, association=association
     )
     target = Path(path)
-    try:
-        with tempfile.NamedTemporaryFile(
-            "w", encoding="utf-8", newline="\n", dir=target.parent, prefix=f".{target.name}-", delete=False
-        ) as file:
-            beside = Path(file.name)
-            try:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-                beside.chmod(0o644)
-                beside.replace(target)
-            except BaseException:
-                beside.unlink(missing_ok=True)
-                raise
-    except OSError as error:
-        raise InputError(
-            f"the report cannot be written ({error.strerror})", path=target, remedy="Is there space, and may you write there?"
-        ) from error
+    write_text(target, text)
     return target
 
 
@@ -292,7 +270,7 @@ def rows_of(calibration: Calibration, summary: Summary, truth: Mapping[str, floa
                 low=number(value - t * sd, places, sign=True),
                 high=number(value + t * sd, places, sign=True),
                 unit=unit_text(key.unit),
-                meaning=_MEANING.get(key.name, TERMS[key.name].meaning),
+                meaning=TERMS[key.name].meaning,
                 significant=bool(abs(value) > t * sd),
                 true=number(true, places, sign=True),
                 off=number(off, 1, sign=True),

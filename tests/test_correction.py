@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight.calibration import Accuracy, Calibration, Noise, Summary, TermKey
-from boresight.correct import correct, correct_and_say
+from boresight.correction import correct, correct_and_say
 from boresight.errors import InputError
 from boresight.measure import wrap_rad
 from boresight.model import Channel, Plots, Sensor, Sensors

@@ -111,7 +111,10 @@ def _one(
     if sensor.kind in GROUND_KINDS and "time_offset" in names and not names & set(_EXTENT):
         if not any(d.term in _EXTENT for d in dropped):
             dropped.append(
-                Dropped("along_heading", "not in the model, and confounded with time_offset: both move the plots along the track")
+                Dropped(
+                    "along_heading",
+                    "the targets' extent is not in the model; it is confounded with time_offset: both move plots along the track",
+                )
             )
         speed = float(np.median(np.sqrt((seen.velocity**2).sum(axis=1))))
         notes.append(

@@ -23,7 +23,7 @@ from synthetic import (
 from boresight.calibration import Calibration
 from boresight.errors import NothingToDo, SettingsError
 from boresight.model import Pairs, Sensor, Sensors
-from boresight.register import LeastSquares, fill_lengths, register
+from boresight.registration import LeastSquares, fill_lengths, register
 from boresight.terms import TERMS
 
 ONE = Sensors((RADARS.sensor[0],))
