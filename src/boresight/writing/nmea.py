@@ -1,4 +1,4 @@
-"""NMEA 0183: a marine radar's targets (TTM), targets with a position (TLL), own ship (GGA, OSD), the date (ZDA).
+"""NMEA 0183: a marine radar's targets (TTM), targets with a position (TLL), own ship (GGA, OSD, RMC), the date (ZDA).
 
 Quanta: distance 0.00001 NM (2 cm), bearing 0.0001 deg, position 0.0000001 min (0.2 mm), time 0.001 s, speed 0.001 kn.  All
 bearings are true.  What the sentences have no field for is counted, not written.
@@ -55,7 +55,7 @@ def write_nmea(
     """Write tables as one NMEA 0183 log in the order of time, as a whole or not at all.
 
     Plots become TTM (distance and true bearing about own ship, number, speed, course, time); with `sensors` a fixed
-    radar's own position goes ahead as GGA.  The platform becomes GGA, and OSD where it has a heading, course or speed.
+    radar's own position goes ahead as GGA.  The platform becomes GGA, with OSD and RMC where it has a heading or speed.
     Fixes and tracks become TLL; fixes of one target without identity, alone in the log (a GNSS receiver's), become GGA
     with height.  ZDA gives the date at the beginning and at each midnight.  Rows without a time or position are left
     out and counted, as are columns for which there is no field.
@@ -285,7 +285,13 @@ def _platform(platform: Platform, left: dict[str, int]) -> tuple[FloatArray, Ite
         for t, latitude, longitude, height, heading, course, speed in _rows(*columns):
             text = _sentence(f"GPGGA,{_clock(t)},{_gga(t, latitude, longitude, height, math.nan)}")
             if math.isfinite(heading) or math.isfinite(speed):
-                text += _sentence(f"RAOSD,{_angle(heading)},A,{_angle(course)},P,{_value(speed, KNOT_MPS)},P,,,N")
+                # OSD has no time of its own: between two sentences of one time it can only be of that.
+                way = f"{_angle(course)},P,{_value(speed, KNOT_MPS)}"
+                text += _sentence(f"RAOSD,{_angle(heading)},A,{way},P,,,N")
+                date = datetime.date(1970, 1, 1) + datetime.timedelta(days=int(_rounded(t) // _DAY_S))
+                place = f"{_latitude(latitude)},{_longitude(longitude)}"
+                way = f"{_value(speed, KNOT_MPS)},{_angle(course)},{date:%d%m%y}"
+                text += _sentence(f"GPRMC,{_clock(t)},A,{place},{way},,,A")
             yield text
 
     return mine.time_s, write()
