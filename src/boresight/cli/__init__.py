@@ -14,6 +14,7 @@ import cyclopts
 from .. import __version__
 from ..errors import BoresightError
 from .calibrate import calibrate
+from .convert import convert
 from .correct import correct
 from .demo import demo
 from .info import info
@@ -26,7 +27,7 @@ app = cyclopts.App(
     help_format="plaintext",
     result_action="return_value",
 )
-for _command in (demo, info, calibrate, correct, warm):
+for _command in (demo, info, calibrate, correct, convert, warm):
     app.command(_command)
 
 

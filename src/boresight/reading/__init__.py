@@ -7,21 +7,66 @@ import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 
+from ..errors import InputError
 from ..model import Recording
 
 __all__ = ["read", "sha256_of"]
 
+_HEAD = 1 << 16
 
-def read(path: str | Path, *, editions: Mapping[int, str] | None = None, date: datetime.date | None = None) -> Recording:
-    """Read a recording: its plots, fixes, sources, damage and warnings.
 
-    `editions` names the edition of an ASTERIX category (``{21: "0.23"}``; inferred where it is not given), `date` is the UTC date
-    of the first record of a file that tells only times of day.  Raises InputError for a file that cannot be used, with what to
-    do about it.
+def read(
+    path: str | Path,
+    *,
+    editions: Mapping[int, str] | None = None,
+    date: datetime.date | None = None,
+    columns: str | Path | None = None,
+) -> Recording:
+    """Read a recording: its plots, fixes, tracks, own ship, sources, damage and warnings.
+
+    ASTERIX (raw data blocks), NMEA 0183 with AIS, RTKLIB solutions, OpenSky state vectors, CSV and Parquet tables, and the
+    Autoferry benchmark (a file or a scenario's folder) are told apart by what is in them.  `editions` names the edition of an
+    ASTERIX category (``{21: "0.23"}``; inferred where it is not given), `date` is the UTC date of the first record of a file that
+    tells only times of day, `columns` the column map (TOML) of a table.
+
+    Raises InputError for a file that cannot be used, with what to do about it.
     """
     from .asterix import read_asterix
+    from .nmea import looks_like_nmea, read_nmea
+    from .reference import (
+        looks_like_autoferry,
+        looks_like_opensky,
+        looks_like_rtklib,
+        read_autoferry,
+        read_opensky,
+        read_rtklib,
+    )
+    from .tables import looks_like_table, read_table
 
+    if columns is not None:
+        return read_table(path, columns, date=date)
+    if Path(path).is_dir() and list(Path(path).glob("*_detections.json")):
+        return read_autoferry(path)
+    head = _head(path)
+    if looks_like_autoferry(head):
+        return read_autoferry(path)
+    if looks_like_rtklib(head):
+        return read_rtklib(path, date=date)
+    if looks_like_nmea(head):
+        return read_nmea(path, date=date)
+    if looks_like_opensky(head):
+        return read_opensky(path)
+    if looks_like_table(head):
+        return read_table(path, date=date)
     return read_asterix(path, editions=editions, date=date)
+
+
+def _head(path: str | Path) -> bytes:
+    try:
+        with open(path, "rb") as file:
+            return file.read(_HEAD)
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror or error})", path=path) from error
 
 
 def sha256_of(path: str | Path) -> str:
@@ -29,8 +74,6 @@ def sha256_of(path: str | Path) -> str:
 
     Raises InputError where the file cannot be read.
     """
-    from ..errors import InputError
-
     try:
         with open(path, "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
