@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from . import __version__
 from .errors import InputError, NothingToDo
-from .model import Fixes, Plots, Recording, Sensors, Source, load_sensors
+from .model import Fixes, Platform, Plots, Recording, Sensors, Source, load_sensors
 
 if TYPE_CHECKING:
     from .assessment.residuals import Residuals
@@ -78,6 +78,7 @@ def calibrate(
     from .assessment.residuals import residuals
     from .association import search
     from .measure import site_warnings
+    from .platform import fix_platforms
     from .registration import register
 
     if not plots or not reference:
@@ -86,7 +87,6 @@ def calibrate(
     radar = _read_all(plots, editions, date, warnings, progress)
     trusted = _read_all(reference, editions, date, warnings, progress)
     measured = _with_known_sensor(Plots.concat([r.plots for r in radar]), sensors, radar, warnings)
-    warnings += site_warnings(measured, sensors, positions=False)
     fixes = Fixes.concat([r.fixes for r in trusted])
     if not len(fixes):
         raise NothingToDo(
@@ -97,6 +97,9 @@ def calibrate(
     measured, fixes = apply_time_offsets(measured, sensors), apply_time_offsets(fixes, sensors)
     fixes, said = locate(fixes, sensors, sources)
     warnings += said
+    fixes, sensors, said = fix_platforms(measured, fixes, Platform.concat([r.platform for r in radar]), sensors)
+    warnings += said
+    warnings += site_warnings(measured, sensors, positions=False)
     check = overlap(measured, fixes)
     warnings += [check.message] if check.message else []
     progress("associating plots and targets")
@@ -106,7 +109,7 @@ def calibrate(
     found = register(association.pairs, sensors, model=model)
     found = replace(
         found,
-        inputs=tuple(_input(path) for path in [*plots, *reference]),
+        inputs=tuple(_input(file) for path in [*plots, *reference] for file in _files_of(path)),
         warnings=tuple(dict.fromkeys([*warnings, *found.warnings])),
         version=__version__,
     )
@@ -243,6 +246,11 @@ def _with_known_sensor(plots: Plots, sensors: Sensors, recordings: Sequence[Reco
 
 def _names(recordings: Sequence[Recording]) -> str:
     return ", ".join(r.path for r in recordings)
+
+
+def _files_of(path: str | Path) -> list[Path]:
+    """The file itself, or the files of a folder that is read as one recording."""
+    return sorted(p for p in Path(path).iterdir() if p.is_file()) if Path(path).is_dir() else [Path(path)]
 
 
 def _input(path: str | Path) -> Input:
