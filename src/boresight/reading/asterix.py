@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,6 +24,7 @@ from .._types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 from ..errors import InputError
 from ..model import Channel, Damage, Fixes, Flag, Marks, Plots, Recording, Source, Tracks, unpack_callsigns
 from . import uap
+from .capture import CHUNK, READABLE, Tally, kind_of, link_name, portions, runs, whole
 
 DAY_S = 86400.0
 EARTH_M = 6371000.0
@@ -34,6 +35,8 @@ _SKIP = 1 << 16
 # So far blocks of categories without a table may follow each other until one with a table shows that they are blocks.
 _CHAIN = 1 << 16
 _AHEAD = 512
+# Datagrams of a portion that are decoded one by one because their blocks do not add up; where there are more, they are a stream.
+_APART = 2000
 # Blocks that are looked at to infer an edition: few enough for a stream to start soon, many enough not to be fooled.
 _SAMPLE = 16
 # Records that follow each other in a sample of a file are this close in time, whatever the file.
@@ -956,30 +959,53 @@ _ROW_COLUMNS = ("offset", "length", "category", "source", "time_s", "receive_s",
 
 
 def _join(parts: list[Records]) -> Records:
+    """The parts one behind the other.  The list is emptied, and columns are let go one by one: nothing is there twice."""
     unknown: dict[int, int] = {}
+    notes: dict[tuple[int, int, int], str] = {}
+    site: dict[tuple[int, float, float, float], None] = {}
+    damaged: list[Damage] = []
+    clipped = truncated = 0
+    rows: dict[str, list[AnyArray]] = {name: [] for name in _ROW_COLUMNS}
+    tables: dict[str, list[Any]] = {name: [] for name in ("plots", "fixes", "tracks", "marks")}
     for part in parts:
         for category, count in part.unknown.items():
             unknown[category] = unknown.get(category, 0) + count
-    notes: dict[tuple[int, int, int], str] = {}
-    for part in parts:
         notes |= part.notes
+        site |= dict.fromkeys(part.site)
+        damaged += part.damaged
+        clipped, truncated = clipped + part.clipped, truncated + part.truncated
+        for name, columns in rows.items():
+            columns.append(getattr(part, name))
+        for name, found in tables.items():
+            if len(getattr(part, name)):
+                found.append(getattr(part, name))
+    parts.clear()
+    if not rows["offset"]:
+        return _empty()
+    kinds = {"plots": Plots, "fixes": Fixes, "tracks": Tracks, "marks": Marks}
+    joined: dict[str, Any] = {name: _stack(kind, tables[name]) for name, kind in kinds.items()}
+    joined |= {name: np.concatenate(rows.pop(name)) for name in _ROW_COLUMNS}
     return Records(
-        plots=_concat(Plots, [p.plots for p in parts]),
-        fixes=_concat(Fixes, [p.fixes for p in parts]),
-        tracks=_concat(Tracks, [p.tracks for p in parts]),
-        marks=_concat(Marks, [p.marks for p in parts]),
-        **{name: np.concatenate([getattr(p, name) for p in parts]) for name in _ROW_COLUMNS},
-        site=tuple(dict.fromkeys(s for p in parts for s in p.site)),
-        damaged=tuple(d for p in parts for d in p.damaged),
-        unknown=unknown,
-        clipped=sum(p.clipped for p in parts),
-        truncated=sum(p.truncated for p in parts),
-        notes=notes,
-    )
+        **joined,
+        site=tuple(site), damaged=tuple(damaged), unknown=unknown, clipped=clipped, truncated=truncated, notes=notes,
+    )  # fmt: skip
 
 
-def _concat(kind: Any, parts: list[Any]) -> Any:
-    return parts[0] if len(parts) == 1 else kind.concat(parts)
+def _empty() -> Records:
+    none = np.empty(0, np.int64)
+    return Records(
+        plots=Plots(), fixes=Fixes(), tracks=Tracks(), marks=Marks(), offset=none, length=none, category=none.astype(np.uint8),
+        source=none.astype(np.int32), time_s=np.empty(0), receive_s=np.empty(0), digest=none, site=(), damaged=(), unknown={},
+    )  # fmt: skip
+
+
+def _stack(kind: Any, tables: list[Any]) -> Any:
+    """As `kind.concat`, but the list is emptied and its columns are let go as soon as they are copied."""
+    if len(tables) <= 1:
+        return tables[0] if tables else kind()
+    columns = {f.name: [getattr(t, f.name) for t in tables] for f in fields(kind)}
+    tables.clear()
+    return kind(**{name: np.concatenate(columns.pop(name)) for name in list(columns)})
 
 
 def _decode_some(data: ByteArray, state: DecodeState, receive: _Reception, final: bool) -> tuple[Records, DecodeState, int, bool]:
@@ -1256,31 +1282,37 @@ def _ordered(kind: Any, parts: list[Any]) -> Any:
 # ------------------------------------------------------------------------------------------------------------------- files
 
 
-def read_asterix(path: str | Path, *, editions: Mapping[int, str] | None = None, date: datetime.date | None = None) -> Recording:
-    """Read a file of ASTERIX data blocks.
+def read_asterix(
+    path: str | Path,
+    *,
+    editions: Mapping[int, str] | None = None,
+    date: datetime.date | None = None,
+    categories: Collection[int] | None = None,
+    sources: Collection[int] | None = None,
+) -> Recording:
+    """Read a recording of ASTERIX: raw data blocks, a packet capture, a final-format or a GPS-stamped file.
 
     `editions` names the edition of a category (``{21: "0.23"}``); where it is not given it is inferred, and said in the warnings.
-    `date` is the UTC date of the file's first record; without it the first day is day 0 (1970-01-01), and that is said.
+    `date` is the UTC date of the file's first record; without it a capture's own date counts, else the first day is day 0
+    (1970-01-01), and that is said.  `categories` and `sources` (``sac << 8 | sic``) choose records; the others are not kept.
     Duplicated records and records out of order are kept and counted in the warnings.  Raises InputError where nothing at all
     could be read, and where the records do not fit the edition (with the one that they fit); SettingsError for an unknown one.
     """
-    data = _bytes_of(path)
+    reader = Reader.open(path, editions=editions, date=date, categories=categories, sources=sources)
     given = dict(editions or {})
-    state = DecodeState.begin(date, given)
-    _check_editions(path, data, given)
-    records, state, _ = decode(data, state, final=True)
+    _check_editions(path, reader.sample, given)
+    parts = list(reader)
+    records = _join(parts)
     if not len(records.offset):
-        raise _nothing(path, data, records)
-    warnings: list[str] = []
-    if date is None:
-        warnings.append("no date was given: the first record's day counts as 1970-01-01 (--date gives its UTC date)")
-    for category, edition in state.editions.items():
+        raise _nothing(path, reader, records)
+    warnings = reader.remarks(date)
+    for category, edition in reader.state.editions.items():
         if category not in given:
             name = f"{category:03d}"
             warnings.append(
                 f"category {name} was read as edition {edition}, inferred from the records (--edition {name}=… sets it)"
             )
-    _check_positions(path, data, records, state.editions)
+    _check_positions(path, reader.sample, records, reader.state.editions)
     warnings += _remarks(records)
     return Recording(
         path=str(path),
@@ -1288,29 +1320,177 @@ def read_asterix(path: str | Path, *, editions: Mapping[int, str] | None = None,
         fixes=records.fixes,
         tracks=records.tracks,
         marks=records.marks,
-        sources=_sources(records, state.editions),
-        damaged=records.damaged,
+        sources=_sources(records, reader.state.editions),
+        damaged=tuple(sorted((*records.damaged, *reader.tally.damaged), key=lambda d: d.offset)),
         warnings=tuple(warnings),
         by_category={int(c): int(np.count_nonzero(records.category == c)) for c in np.unique(records.category)},
         offset=records.offset,
+        receive_s=np.empty(0) if reader.kind == "raw" else records.receive_s,
     )
 
 
-def _bytes_of(path: str | Path) -> ByteArray:
-    try:
-        data = np.fromfile(path, np.uint8)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(
-            f"cannot be read ({reason})", path=path, remedy="Check the file's name and that you may read it."
-        ) from error
-    if not len(data):
-        raise InputError("the file is empty", path=path, remedy="Give a recording of ASTERIX data blocks.")
-    return _buffer(data)
+@dataclass(slots=True)
+class Reader:
+    """A file of ASTERIX, read in chunks: iterating gives `Records`, with the offsets of the file.
+
+    `kind` is "raw", "pcap", "pcapng", "final" or "gps"; `sample` some of its blocks; `tally` what a container held beside
+    datagrams, `strange` how many of these held no ASTERIX; `first_s` is when the first one was received.
+    """
+
+    path: Path
+    kind: str
+    state: DecodeState
+    sample: ByteArray
+    dated: bool
+    tally: Tally = field(default_factory=Tally)
+    strange: int = 0
+    first_s: float = float("nan")
+
+    @classmethod
+    def open(
+        cls,
+        path: str | Path,
+        *,
+        editions: Mapping[int, str] | None = None,
+        date: datetime.date | None = None,
+        categories: Collection[int] | None = None,
+        sources: Collection[int] | None = None,
+    ) -> Reader:
+        """Look at a file; the arguments are those of `read_asterix`.  Raises InputError where it cannot be read or is empty."""
+        state = DecodeState.begin(date, editions, categories=categories, sources=sources)
+        path = Path(path)
+        try:
+            with open(path, "rb") as file:
+                head = file.read(CHUNK)
+            size = path.stat().st_size
+        except OSError as error:
+            raise InputError(
+                f"cannot be read ({error.strerror or error})", path=path, remedy="Check the file's name and that you may read it."
+            ) from error
+        if not head:
+            raise InputError("the file is empty", path=path, remedy="Give a recording of ASTERIX data blocks.")
+        known = frozenset(uap.categories())
+        kind = kind_of(head, size, known)
+        if kind == "raw":
+            sample = _buffer(head)
+        else:
+            first = next(portions(path, kind, Tally(), known), None)
+            sample = _buffer(b"" if first is None else first.data)
+        return cls(path, kind, state, sample, date is not None)
+
+    def __iter__(self) -> Iterator[Records]:
+        """The file's records, part by part; to be asked for once."""
+        return self._raw() if self.kind == "raw" else self._wrapped()
+
+    def _raw(self) -> Iterator[Records]:
+        try:
+            with open(self.path, "rb") as file:
+                rest, here, first = b"", file.read(CHUNK), True
+                while here:
+                    following = file.read(CHUNK)
+                    buffer = _buffer(rest + here)
+                    nothing = np.zeros(1, np.int64), np.array([np.nan])
+                    parts, state, used = _decode_all(buffer, self.state, *nothing, not following)
+                    if first and any(p.truncated for p in parts):
+                        # What came ahead of the first full time of its source is completed from that one.
+                        begin = _first_full_times(parts)
+                        if begin:
+                            parts, state, used = _decode_all(buffer, replace(self.state, stamps=begin), *nothing, not following)
+                    self.state, rest, here, first = state, bytes(buffer[used:]), following, False
+                    yield from parts
+        except OSError as error:
+            raise InputError(f"cannot be read ({error.strerror or error})", path=self.path) from error
+
+    def _wrapped(self) -> Iterator[Records]:
+        known = np.zeros(256, bool)
+        known[list(uap.categories())] = True
+        shift = float("nan")
+        for portion in portions(self.path, self.kind, self.tally, frozenset(uap.categories())):
+            received = portion.receive_s
+            told = received[np.isfinite(received)]
+            if np.isnan(shift) and len(told):
+                self.first_s = float(told[0])
+                # The date that was given counts; in a capture the time of day of its clock goes with it.
+                own = np.floor(told[0] / DAY_S) if self.kind in ("pcap", "pcapng") else 0.0
+                shift = (self.state.day - own) * DAY_S if self.dated or own == 0.0 else 0.0
+            received = received + (0.0 if np.isnan(shift) else shift)
+            good = whole(portion.data, portion.begin)
+            if np.count_nonzero(~good) > _APART:
+                good[:] = True
+            stranger = ~good & ~known[portion.data[portion.begin]]
+            self.strange += int(np.count_nonzero(stranger))
+            end = np.append(portion.begin[1:], len(portion.data))
+            for low, high, _ in runs(good):
+                if stranger[low]:
+                    continue
+                begin = portion.begin[low:high]
+                buffer = _buffer(portion.data[begin[0] : end[high - 1]])
+                parts, state, _ = _decode_all(buffer, replace(self.state, offset=0), begin - begin[0], received[low:high], True)
+                self.state = state
+                place = portion.offset[low:high]
+                yield from (_moved(p, begin - begin[0], place) for p in parts)
+
+    def remarks(self, date: datetime.date | None) -> list[str]:
+        """What a reader should know of the container and of the date."""
+        out: list[str] = []
+        if self.kind not in ("pcap", "pcapng"):
+            if date is None:
+                out.append("no date was given: the first record's day counts as 1970-01-01 (--date gives its UTC date)")
+        elif np.isfinite(self.first_s):
+            own = datetime.datetime.fromtimestamp(self.first_s, datetime.UTC).date()
+            if date is not None and date != own:
+                out.append(f"the capture was made on {own}, but the date given is {date}: that one counts")
+        if self.tally.other:
+            out.append(f"{self.tally.other} of {self.tally.packets} packets are no UDP datagrams: they were passed over")
+        if self.strange:
+            out.append(f"{self.strange} of {self.tally.datagrams} datagrams hold no ASTERIX: they were passed over")
+        unread = [link_name(link) for link in self.tally.links if link not in READABLE]
+        if unread:
+            out.append(f"packets of link type {', '.join(unread)} cannot be read: they were passed over")
+        return out
 
 
-def _nothing(path: str | Path, data: ByteArray, records: Records) -> InputError:
+def _first_full_times(parts: list[Records]) -> dict[int, float]:
+    """The first time of each source that comes with a full time of day, where it has truncated ones too."""
+    out: dict[int, float] = {}
+    short = {int(s) for p in parts for s in np.unique(p.source[np.isin(p.category, list(uap.TRUNCATED_S)) & np.isnan(p.time_s)])}
+    for part in parts:
+        full = ~np.isin(part.category, list(uap.TRUNCATED_S)) & np.isfinite(part.time_s)
+        for source in short - set(out):
+            rows = np.flatnonzero(full & (part.source == source))
+            if len(rows):
+                out[source] = float(part.time_s[rows[0]])
+    return out
+
+
+def _moved(records: Records, begin: IntArray, place: IntArray) -> Records:
+    """The same with the offsets of the file: what begins at `begin` (k,) in the data lies at `place` (k,)."""
+
+    def move(at: AnyArray) -> IntArray:
+        k = np.maximum(np.searchsorted(begin, at, side="right") - 1, 0)
+        return np.asarray(place[k] + at - begin[k], np.int64)
+
+    damaged = tuple(Damage(int(move(np.array([d.offset]))[0]), d.why) for d in records.damaged)
+    return replace(records, offset=move(records.offset), damaged=damaged)
+
+
+def _nothing(path: str | Path, reader: Reader, records: Records) -> InputError:
     """Why no record at all could be read."""
+    if reader.state.categories is not None or reader.state.sources is not None:
+        chosen = [f"{c:03d}" for c in sorted(reader.state.categories or ())]
+        chosen += [f"{s >> 8}/{s & 255}" for s in sorted(reader.state.sources or ())]
+        return InputError(
+            f"no record is of what was asked for ({', '.join(chosen)})", path=path, remedy="Ask for others, or all."
+        )
+    if reader.kind != "raw":
+        name = {"pcap": "this capture", "pcapng": "this capture"}.get(reader.kind, "this file")
+        worst = (*records.damaged, *reader.tally.damaged)[:1]
+        why = f": byte {worst[0].offset}: {worst[0].why}" if worst else ""
+        return InputError(
+            f"none of the {reader.tally.datagrams} datagrams of {name} could be read as ASTERIX{why}", path=path,
+            remedy=f"Categories that can be read: {', '.join(f'{c:03d}' for c in uap.categories())}.",
+        )  # fmt: skip
+    data = reader.sample
     known = ", ".join(f"{c:03d}" for c in uap.categories())
     remedy = f"A recording holds raw data blocks (category, length, records) of the categories {known}."
     head = data[:4096]
@@ -1379,9 +1559,17 @@ def _remarks(records: Records) -> list[str]:
     duplicates = int(np.count_nonzero(order[1:] == order[:-1]))
     if duplicates:
         out.append(f"{duplicates} records are byte for byte the same as another one; they were kept")
+    if records.truncated:
+        out.append(
+            f"{records.truncated} records of category 001 tell only the rest of their time of day by 512 s, and nothing of their "
+            "source (I002/030) nor a time of reception completes it: their time is not known"
+        )
+    plane = int(np.count_nonzero(np.isnan(records.tracks.latitude_rad) & np.isfinite(records.tracks.x_m)))
+    if plane:
+        out.append(f"{plane} track states have a position only in their system's own plane (I062/100), not on the ellipsoid")
     if records.clipped:
         out.append(f"{records.clipped} positions are beyond what their item can hold: they are left out of the fixes")
-    untimed = int(np.count_nonzero(np.isnan(records.time_s)))
+    untimed = int(np.count_nonzero(np.isnan(records.time_s))) - records.truncated
     if untimed:
         out.append(f"{untimed} records have no time of day, or one beyond 24 hours: their time is not known")
     for source in np.unique(records.source).tolist():
@@ -1405,10 +1593,10 @@ def _sources(records: Records, editions: Mapping[int, str]) -> tuple[Source, ...
     """Who sent what: one a SAC/SIC and category, in that order."""
     key = records.source.astype(np.int64) << 8 | records.category
     places = {source: place for source, *place in records.site}
-    plots, fixes = records.plots, records.fixes
-    plot_key = key[plots.record]
-    row_key = np.concatenate([plot_key, key[fixes.record]])
-    mode_s, track = np.concatenate([plots.mode_s, fixes.mode_s]), np.concatenate([plots.track, fixes.track])
+    tables = (records.plots, records.fixes, records.tracks)
+    plot_key = key[records.plots.record]
+    row_key = np.concatenate([key[t.record] for t in tables])
+    mode_s, track = np.concatenate([t.mode_s for t in tables]), np.concatenate([t.track for t in tables])
     out: list[Source] = []
     for k in np.unique(key).tolist():
         source, category = k >> 8, k & 255
@@ -1433,6 +1621,11 @@ def _sources(records: Records, editions: Mapping[int, str]) -> tuple[Source, ...
                 latitude_rad=latitude,
                 longitude_rad=longitude,
                 height_m=height,
+                notes=tuple(
+                    f"sensor {about >> 8}/{about & 255}: {text}"
+                    for (whose, which, about), text in sorted(records.notes.items())
+                    if (whose, which) == (source, category) and text
+                ),
             )
         )
     return tuple(out)

@@ -380,6 +380,8 @@ def read_opensky(path: str | Path, columns: ColumnMap | str | Path | None = None
 AUTOFERRY_ORIGIN = (math.radians(63.4389029083), math.radians(10.39908278), 39.923)
 AUTOFERRY_RADAR = 65536
 AUTOFERRY_TRUTH = 65537
+# The files tell no accuracy; satellite positions of small boats with their antennas off the hull's centre.
+AUTOFERRY_TRUTH_SD_M = 1.0
 _RADAR = 2
 
 
@@ -516,7 +518,10 @@ def _detections(path: str | Path, records: list[Any], offset: list[int], damaged
     if not good:
         why = damaged[0].why if damaged else "the list is empty"
         raise InputError(f"no detection could be read: {why}", path=path, remedy="Is the file whole?")
-    said = [f"{n:,} records of sensor {k} were passed over: only the radar (2) measures range" for k, n in sorted(passed.items())]
+    said = []
+    if passed:
+        others = ", ".join(f"sensor {k} ({n:,})" for k, n in sorted(passed.items()))
+        said.append(f"records of {others} were passed over: only the radar, sensor {_RADAR}, measures a polar position")
     ship = np.array(own)
     where = _place(ship[:, 1], ship[:, 2])
     latitude, longitude, height = geodetic_from_ecef(where)
@@ -600,6 +605,7 @@ def _ground_truth(path: str | Path, records: list[Any], offset: list[int], damag
     fixes = Fixes(
         time_s=np.array([t for _, t in keys]), source=np.full(len(keys), source), track=np.array([k for k, _ in keys]),
         latitude_rad=latitude, longitude_rad=longitude, height_m=height, record=table[:, 0].astype(np.int64),
+        horizontal_sd_m=np.full(len(keys), AUTOFERRY_TRUTH_SD_M), vertical_sd_m=np.full(len(keys), AUTOFERRY_TRUTH_SD_M),
     )  # fmt: skip
     fixes = fixes[np.argsort(fixes.time_s, kind="stable")]
     return _autoferry(path, Plots(), fixes, Platform(), damaged, said, np.array(good, np.int64))
