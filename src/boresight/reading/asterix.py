@@ -24,7 +24,7 @@ from .._types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 from ..errors import InputError
 from ..model import Channel, Damage, Fixes, Flag, Marks, Plots, Recording, Source, Tracks, unpack_callsigns
 from . import uap
-from .capture import CHUNK, READABLE, Tally, kind_of, link_name, portions, runs, whole
+from .capture import CHUNK, READABLE, Tally, kind_of, link_name, portions, runs, unwrapped
 
 DAY_S = 86400.0
 EARTH_M = 6371000.0
@@ -811,8 +811,19 @@ def _fixes(columns: dict[str, Any]) -> dict[str, Any]:
 
 def _tracks(columns: dict[str, Any]) -> dict[str, Any]:
     """The columns of Tracks: the age is that of the youngest measurement, the sd that of the plane, else of the ellipsoid."""
-    ages = np.array([columns.pop(f"age_{name}") for name in uap.AGES])
+    ages = np.array([columns.pop(name) for name in list(columns) if name.startswith("age_")])
     columns["age_s"] = np.where(np.isnan(ages).all(axis=0), np.nan, np.nanmin(np.where(np.isnan(ages), np.inf, ages), axis=0))
+    if "speed" in columns:
+        columns["velocity_east_mps"], columns["velocity_north_mps"] = _motion(columns)
+    # Flight plans have the callsign in seven letters of 8 bits; the low 6 bits of each are the code of ICAO Annex 10.
+    flight = columns.pop("flight")
+    packed = np.full(len(flight), 32, np.int64)
+    for k in range(7):
+        packed |= (flight >> 8 * k & 63) << 6 * (k + 1)
+    columns["callsign"] = np.where((columns["callsign"] < 0) & (flight > 0), _callsigns(packed), columns["callsign"])
+    if "sd_x" not in columns:
+        columns.pop("channel")
+        return columns
     sd_x, sd_y = columns.pop("sd_x"), columns.pop("sd_y")
     # An angle's worth on the ellipsoid, to the 0.5 % that an accuracy needs.
     north = columns.pop("sd_latitude") * EARTH_M
@@ -867,7 +878,7 @@ def _score(data: ByteArray, places: list[int], category: int, edition: str) -> f
         return 0.0
     begin, items = np.concatenate(found), np.concatenate(kept)
     rows = np.arange(len(begin))
-    position = uap.FIXES[category, uap.family(category, edition)].columns
+    position = (uap.FIXES | uap.TRACKS)[category, uap.family(category, edition)].columns
     wanted = {name: position[name] for name in ("latitude_rad", "longitude_rad")}
     columns, _ = _columns(data, begin, items, rows, category, edition, wanted, False)
     tod, _ = _times(data, begin, items, rows, category, edition)
@@ -1200,8 +1211,8 @@ def _assemble(
                 placed = np.isfinite(table.latitude_rad + table.longitude_rad) | np.isfinite(table.x_m + table.y_m)
                 clipped += int(np.count_nonzero(~placed))
                 fixes.append(table if placed.all() else table[placed])
-        if form in uap.TRACKS:
-            needs, wanted = uap.TRACKS[form]
+        if (form, uap.family(form, edition)) in uap.TRACKS:
+            needs, wanted = uap.TRACKS[form, uap.family(form, edition)]
             mine = rows[_has(items, rows, [slots[i] for i in needs])]
             columns, flags = _columns(data, start, items, mine, form, edition, wanted, True)
             tracks.append(Tracks(time_s=time_s[mine], source=source[mine], flags=flags, record=number[mine], **_tracks(columns)))
@@ -1406,6 +1417,7 @@ class Reader:
         known[list(uap.categories())] = True
         shift = float("nan")
         for portion in portions(self.path, self.kind, self.tally, frozenset(uap.categories())):
+            portion, good = unwrapped(portion, known)
             received = portion.receive_s
             told = received[np.isfinite(received)]
             if np.isnan(shift) and len(told):
@@ -1414,7 +1426,6 @@ class Reader:
                 own = np.floor(told[0] / DAY_S) if self.kind in ("pcap", "pcapng") else 0.0
                 shift = (self.state.day - own) * DAY_S if self.dated or own == 0.0 else 0.0
             received = received + (0.0 if np.isnan(shift) else shift)
-            good = whole(portion.data, portion.begin)
             if np.count_nonzero(~good) > _APART:
                 good[:] = True
             stranger = ~good & ~known[portion.data[portion.begin]]
@@ -1531,12 +1542,15 @@ def _check_positions(path: str | Path, data: ByteArray, records: Records, editio
     for category, edition in editions.items():
         if category not in uap.INFERRED:
             continue
-        mine = records.fixes[records.category[records.fixes.record] == category]
-        known = np.isfinite(mine.latitude_rad)
-        wrong = np.count_nonzero((np.abs(mine.latitude_rad) > np.pi / 2) | (np.abs(mine.longitude_rad) > np.pi))
-        if wrong > 0.01 * max(1, int(np.count_nonzero(known))):
+        wrong = known = 0
+        for table in (records.fixes, records.tracks):
+            mine = records.category[table.record] == category
+            latitude, longitude = table.latitude_rad[mine], table.longitude_rad[mine]
+            known += int(np.count_nonzero(np.isfinite(latitude)))
+            wrong += int(np.count_nonzero((np.abs(latitude) > np.pi / 2) | (np.abs(longitude) > np.pi)))
+        if wrong > 0.01 * max(1, known):
             best, _ = _infer(data, _spread(data, category), category)
-            raise _other_edition(path, category, edition, best, f"{wrong} of {len(mine)} positions are not on Earth")
+            raise _other_edition(path, category, edition, best, f"{wrong} of {known} positions are not on Earth")
 
 
 def _other_edition(path: str | Path, category: int, edition: str, best: str, what: str) -> InputError:

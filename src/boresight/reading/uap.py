@@ -520,6 +520,70 @@ _CAT062 = """
 35 SP  L
 """
 
+# The draft that systems of the first decade of this century send; item 050 is known by its place only.
+_CAT062_0_17 = """
+1  010 2   SAC:8 SIC:8
+2  015 1   015:8
+3  070 3   070:24*1/128s
+4  040 2   _1 040:15
+5  105 6   LAT:s24*180/2^23deg LON:s24*180/2^23deg
+6  100 4   X:s16*1/64NM Y:s16*1/64NM
+7  060 2   _4 MODE3A:12
+8  130 2   130:s16*25/4ft
+9  135 2   QNH:1 CTB:s15*1/4FL
+10 136 2   136:s16*1/4FL
+11 180 4   GSP:16*1/2^14NM/s HDG:16*360/2^16deg
+12 200 1   TRANS:2 LONG:2 VERT:2 _2
+13 220 2   220:s16*25/4ft/min
+14 240 1   240:s8*1/4deg/s
+15 210 2   210:s16*0.00044155m/s2
+16 080 1+  MON:1 SPI:1 MRH:1 SRC:3 CNF:1 / SIM:1 TSE:1 TSB:1 FPC:1 _3 / AMA:1 MD4:2 ME:1 MI:1 _2 / \\
+           CST:1 PSR:1 SSR:1 MDS:1 ADS:1 SUC:1 AAC:1 /
+17 290 {}
+.  PSR 1   PSR:8*1/4s
+.  SSR 1   SSR:8*1/4s
+.  MDA 1   MDA:8*1/4s
+.  MFL 1   MFL:8*1/4s
+.  MDS 1   MDS:8*1/4s
+.  ADS 2   ADS:16*1/4s
+.  ES  1   ES:8*1/4s
+.  MD1 1   MD1:8*1/4s
+.  MD2 1   MD2:8*1/4s
+18 340 {}
+.  SID 2   SAC:8 SIC:8
+.  POS 4   RHO:16*1/256NM THETA:16*360/2^16deg
+.  HEIGHT 2 HEIGHT:s16*25ft
+.  MDC 2   V:1 G:1 LMC:s14*1/4FL
+.  MDA 2   V:1 G:1 L:1 _1 MODE3A:12
+.  TYP 1   TYP:3 SIM:1 RAB:1 TST:1 _2
+19 380 {}
+.  BDSDATA *8 BDSDATA:64
+.  ADR 3   ADR:24
+.  ID  6   ID:a48
+.  COM 2   COM:3 STAT:3 _2 SSC:1 ARC:1 AIC:1 B1A:1 B1B:4
+.  ACS 7   ACS:56
+21 390 {}
+.  TAG 2   SAC:8 SIC:8
+.  CS  7   CS:56
+.  IFI 4   TYP:2 _3 NBR:27
+.  FCT 1   GATOAT:2 FR1FR2:2 RVSM:2 HPR:1 _1
+.  TAC 4   TAC:32
+.  WTC 1   WTC:8
+.  DEP 4   DEP:32
+.  DST 4   DST:32
+.  RDS 3   NU1:8 NU2:8 LTR:8
+.  CFL 2   CFL:16*1/4FL
+.  CTL 2   CENTRE:8 POSITION:8
+.  TOD *4  TYP:5 DAY:2 _4 HOR:5 _2 MIN:6 AVS:1 _1 SEC:6
+.  AST 6   AST:48
+.  STS 1   EMP:2 AVL:2 _4
+22 110 1   _3 MODE1:5
+23 120 2   _4 MODE2:12
+24 510 3+3 IDENT:8 TRACK:15 /
+27 RE  L
+28 SP  L
+"""
+
 _CAT063 = """
 1  010 2   SAC:8 SIC:8
 2  015 1   015:8
@@ -571,7 +635,7 @@ _TABLES: dict[int, dict[str, tuple[str, ...]]] = {
     },
     34: {"1.x": (_CAT034,)},
     48: {"1.x": (_CAT048,)},
-    62: {"1.x": (_CAT062,)},
+    62: {"1.x": (_CAT062,), "0.17": (_CAT062_0_17,)},
     63: {"1.x": (_CAT063,)},
     65: {"1.x": (_CAT065,)},
 }
@@ -592,7 +656,7 @@ _SAME = {
 }  # fmt: skip
 
 # What is tried where the edition of a category is not given, the likeliest first.  Other categories have one table.
-INFERRED: dict[int, tuple[str, ...]] = {21: ("2.x", "0.23", "0.26")}
+INFERRED: dict[int, tuple[str, ...]] = {21: ("2.x", "0.23", "0.26"), 62: ("1.x", "0.17")}
 
 
 class Field(NamedTuple):
@@ -920,8 +984,28 @@ FIXES: dict[tuple[int, str], Columns] = {
 
 # States of tracks.  The ages are those of the kinds of measurement that may have gone in: the youngest one counts.
 AGES = ("PSR", "SSR", "MDS", "ADS", "ES", "VDL", "UAT", "LOP", "MLT")
-TRACKS: dict[int, Columns] = {
-    62: Columns(
+TRACKS: dict[tuple[int, str], Columns] = {
+    (62, "0"): Columns(
+        ("040",),
+        {
+            "track": "040.040",
+            "latitude_rad": "105.LAT",
+            "longitude_rad": "105.LON",
+            "x_m": "100.X unless clipped",
+            "y_m": "100.Y unless clipped",
+            "height_m": "130.130",
+            "pressure_altitude_m": "136.136 | 135.CTB unless QNH",
+            "speed": "180.GSP",
+            "course": "180.HDG",
+            "velocity_up_mps": "220.220",
+            "mode_s": "380/ADR.ADR",
+            "mode_3a": "060.MODE3A",
+            "callsign": "380/ID.ID",
+            "flight": "390/CS.CS",
+            **{f"age_{name}": f"290/{name}.{name}" for name in ("PSR", "SSR", "MDS", "ADS", "ES")},
+        },
+    ),
+    (62, ""): Columns(
         ("040",),
         {
             "track": "040.040",
@@ -939,6 +1023,7 @@ TRACKS: dict[int, Columns] = {
             "mode_s": "380/ADR.ADR",
             "mode_3a": f"060.MODE3A {_TRANSPONDER}",
             "callsign": "380/ID.ID | 245.CHR",
+            "flight": "390/CS.CS",
             "length_m": "270.LENGTH",
             "width_m": "270.WIDTH",
             "heading_rad": "270.ORIENTATION",
@@ -975,7 +1060,7 @@ SENSOR_STATUS: dict[int, tuple[tuple[str, str, str, float], ...]] = {
 STATUS_OF = {63: ("050.SAC", "050.SIC", "060.CON")}
 
 # The columns that are codes (integers); all others are quantities.
-CODES = frozenset({"mode_s", "mode_3a", "callsign", "track", "nacp", "gva", "version", "length_width"})
+CODES = frozenset({"flight", "mode_s", "mode_3a", "callsign", "track", "nacp", "gva", "version", "length_width"})
 
 # Time of day: the first item that a record has; the second name is the high-precision fraction that goes with it.
 TIMES: dict[tuple[int, str], tuple[tuple[str, str], ...]] = {
@@ -983,6 +1068,7 @@ TIMES: dict[tuple[int, str], tuple[tuple[str, str], ...]] = {
     (256, ""): (("141.141", ""),),
     (2, ""): (("030.030", ""),),
     (62, ""): (("070.070", ""),),
+    (62, "0"): (("070.070", ""),),
     (63, ""): (("030.030", ""),),
     (65, ""): (("030.030", ""),),
     (10, ""): (("140.140", ""),),
@@ -1020,6 +1106,11 @@ _CAT001_FLAGS: tuple[tuple[str, tuple[int, ...], Flag], ...] = (
 FLAGS: dict[tuple[int, str], tuple[tuple[str, tuple[int, ...], Flag], ...]] = {
     (1, ""): _CAT001_FLAGS,
     (256, ""): (*_CAT001_FLAGS, ("170.GHO", (), Flag.REFLECTION), ("170.TRE", (), Flag.TRACK_END)),
+    (62, "0"): (
+        ("080.SIM", (), Flag.SIMULATED),
+        ("080.TSE", (), Flag.TRACK_END),
+        ("080.CST", (), Flag.EXTRAPOLATED),
+    ),
     (62, ""): (
         ("080.SIM", (), Flag.SIMULATED),
         ("080.TSE", (), Flag.TRACK_END),
@@ -1125,7 +1216,9 @@ SITES: dict[int, tuple[str, str, str]] = {
 
 
 def family(category: int, edition: str) -> str:
-    """The part of an edition that decides where columns come from: "0" or "2" of category 021, else nothing."""
+    """The part of an edition that decides where columns come from: "0" or "2" of category 021, "0" of 062, else nothing."""
+    if category == 62:
+        return "0" if edition[0] == "0" else ""
     return edition[0] if category == 21 else ""
 
 

@@ -7,15 +7,15 @@ import itertools
 import numpy as np
 import pytest
 
-from boresight import convert, geodesy, measure
+from boresight import frames, geodesy, measure
 
 
 def _frames() -> dict[str, convert.Frame]:
     one, two = (0.72, 0.04, 80.0), (0.74, 0.01, 500.0)
-    out: dict[str, convert.Frame] = {"ecef": convert.Ecef()}
+    out: dict[str, convert.Frame] = {"ecef": frames.Ecef()}
     for name, (lat, lon, h) in (("1", one), ("2", two)):
         site, rotation = geodesy.ecef_from_geodetic(lat, lon, h), geodesy.enu_from_ecef(lat, lon)
-        out["enu" + name], out["polar" + name] = convert.Enu(site, rotation), convert.Polar(site, rotation)
+        out["enu" + name], out["polar" + name] = frames.Enu(site, rotation), frames.Polar(site, rotation)
     return out
 
 
@@ -34,9 +34,9 @@ def test_every_detour_ends_where_the_straight_way_does(through: str, last: str) 
     """Polar of site 1 to any frame by way of any other: the same values and covariances, symmetric to the bit."""
     value, covariance = _plots(50, 1)
     start = FRAMES["polar1"]
-    straight = convert.convert(value, covariance, start, FRAMES[last])
-    half = convert.convert(value, covariance, start, FRAMES[through])
-    detour = convert.convert(*half, FRAMES[through], FRAMES[last])
+    straight = frames.convert(value, covariance, start, FRAMES[last])
+    half = frames.convert(value, covariance, start, FRAMES[through])
+    detour = frames.convert(*half, FRAMES[through], FRAMES[last])
     assert np.array_equal(detour[1], np.swapaxes(detour[1], 1, 2))
     difference = detour[0] - straight[0]
     if last.startswith("polar"):
@@ -54,7 +54,7 @@ def test_linear_conversion_against_monte_carlo() -> None:
     covariance = np.diag([40.0, 3e-4, 4e-4])[None] ** 2
     covariance[0, 0, 1] = covariance[0, 1, 0] = 0.5 * 40 * 3e-4
     source, target = FRAMES["polar1"], FRAMES["polar2"]
-    found = convert.convert(value, covariance, source, target)
+    found = frames.convert(value, covariance, source, target)
     draws = rng.multivariate_normal(value[0], covariance[0], 400_000)
     mapped = target.from_ecef(source.to_ecef(draws)[0])[0]
     sd = np.sqrt(np.diagonal(found[1][0]))
@@ -65,20 +65,20 @@ def test_linear_conversion_against_monte_carlo() -> None:
 def test_a_plot_due_east_has_its_errors_on_the_right_axes() -> None:
     """METHODS section 1: range error lies east, azimuth error north, elevation error up; mixed axes would not."""
     value, covariance = np.array([[50e3, np.pi / 2, 0.0]]), np.diag([10.0, 1e-3, 2e-3])[None] ** 2
-    _, enu = convert.convert(value, covariance, FRAMES["polar1"], FRAMES["enu1"])
+    _, enu = frames.convert(value, covariance, FRAMES["polar1"], FRAMES["enu1"])
     assert np.sqrt(np.diagonal(enu[0])) == pytest.approx([10, 50, 100], rel=1e-9)
 
 
 def test_rotation_keeps_the_eigenvalues() -> None:
     value, covariance = _plots(20, 3)
-    enu, covariance = convert.convert(value, covariance, FRAMES["polar1"], FRAMES["enu1"])
-    _, ecef = convert.convert(enu, covariance, FRAMES["enu1"], FRAMES["ecef"])
+    enu, covariance = frames.convert(value, covariance, FRAMES["polar1"], FRAMES["enu1"])
+    _, ecef = frames.convert(enu, covariance, FRAMES["enu1"], FRAMES["ecef"])
     assert np.allclose(np.linalg.eigvalsh(ecef), np.linalg.eigvalsh(covariance), rtol=1e-9)
 
 
 def test_jacobian_of_the_route_against_differences() -> None:
     value, _ = _plots(30, 4)
-    forward = convert.route(FRAMES["polar1"], FRAMES["polar2"])
+    forward = frames.route(FRAMES["polar1"], FRAMES["polar2"])
     mapped, jacobian = forward(value)
     metres_in, metres_out = (np.stack([np.ones(30), v[:, 0], v[:, 0]], axis=1) for v in (value, mapped))
     for k in range(3):
@@ -99,9 +99,9 @@ def test_a_method_is_a_value_that_sees_the_whole_route() -> None:
             step = np.zeros(3)
             step[k] = h
             columns.append((forward(value + step)[0] - forward(value - step)[0]) / (2 * h))
-        return forward(value)[0], convert.propagate(np.stack(columns, axis=2), covariance)
+        return forward(value)[0], frames.propagate(np.stack(columns, axis=2), covariance)
 
     value, covariance = _plots(10, 5)
-    ours = convert.convert(value, covariance, FRAMES["polar1"], FRAMES["ecef"])
-    theirs = convert.convert(value, covariance, FRAMES["polar1"], FRAMES["ecef"], method=differenced)
+    ours = frames.convert(value, covariance, FRAMES["polar1"], FRAMES["ecef"])
+    theirs = frames.convert(value, covariance, FRAMES["polar1"], FRAMES["ecef"], method=differenced)
     assert np.allclose(ours[1], theirs[1], rtol=1e-5, atol=1e-5 * np.abs(ours[1]).max())
