@@ -10,9 +10,9 @@ import pytest
 from boresight import frames, geodesy, measure
 
 
-def _frames() -> dict[str, convert.Frame]:
+def _frames() -> dict[str, frames.Frame]:
     one, two = (0.72, 0.04, 80.0), (0.74, 0.01, 500.0)
-    out: dict[str, convert.Frame] = {"ecef": frames.Ecef()}
+    out: dict[str, frames.Frame] = {"ecef": frames.Ecef()}
     for name, (lat, lon, h) in (("1", one), ("2", two)):
         site, rotation = geodesy.ecef_from_geodetic(lat, lon, h), geodesy.enu_from_ecef(lat, lon)
         out["enu" + name], out["polar" + name] = frames.Enu(site, rotation), frames.Polar(site, rotation)
@@ -93,7 +93,7 @@ def test_jacobian_of_the_route_against_differences() -> None:
 def test_a_method_is_a_value_that_sees_the_whole_route() -> None:
     """Another method needs nothing but the map: here, one that ignores the Jacobian and differences the map itself."""
 
-    def differenced(value: np.ndarray, covariance: np.ndarray, forward: convert.Map) -> tuple[np.ndarray, np.ndarray]:
+    def differenced(value: np.ndarray, covariance: np.ndarray, forward: frames.Map) -> tuple[np.ndarray, np.ndarray]:
         columns = []
         for k, h in enumerate((1.0, 1e-6, 1e-6)):
             step = np.zeros(3)

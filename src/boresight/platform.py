@@ -1,8 +1,9 @@
 """A radar that moves: everything about its platform, so that the steps after it need not know.
 
-A moving radar measures where targets are relative to itself.  Its reference is therefore re-expressed relative to the platform, at
-each fix's own time, and put about one fixed point that stands for the antenna.  Rates come out right too: what a late stamp, or any
-other term, does to a measured range depends on the motion of the target relative to the radar, not over ground.
+A moving radar measures where targets are relative to itself.  Its reference is therefore re-expressed relative to the
+platform, at each fix's own time, and put about one fixed point that stands for the antenna.  Rates come out right too: what a
+late stamp, or any other term, does to a measured range depends on the motion of the target relative to the radar, not over
+ground.
 """
 
 from __future__ import annotations
@@ -48,14 +49,15 @@ def position_at(platform: Platform, time_s: FloatArray) -> tuple[FloatArray, Boo
 def about_platform(fixes: Fixes, platform: Platform, sensor: Sensor) -> tuple[Fixes, Sensor, tuple[str, ...]]:
     """The fixes as the moving radar sees them, about one fixed point, and the sensor standing there.
 
-    `fixes` are geodetic.  The fixed point is where the platform was first; the antenna's height above it is the sensor's own
-    `height_m` where that is given (ellipsoidal), else the platform's.  Velocities are left to be found from the positions.  Fixes at
-    times when the platform's position is not known are left out, and counted.
+    `fixes` are geodetic.  The fixed point is where the platform was first; the antenna's height is the sensor's own `height_m`
+    where that is given (ellipsoidal), else the platform's.  Velocities are left to be found from the positions.  Fixes at times
+    when the platform's position is not known are left out, and counted.
     """
     own = platform[platform.sensor == sensor.key]
     here, known = position_at(own, fixes.time_s)
     known &= np.isfinite(fixes.latitude_rad) & np.isfinite(fixes.longitude_rad)
-    there = ecef_from_geodetic(fixes.latitude_rad, fixes.longitude_rad, np.where(np.isfinite(fixes.height_m), fixes.height_m, 0.0))
+    height = np.where(np.isfinite(fixes.height_m), fixes.height_m, 0.0)
+    there = ecef_from_geodetic(fixes.latitude_rad, fixes.longitude_rad, height)
     first = int(np.flatnonzero(np.isfinite(own.latitude_rad))[0])
     latitude, longitude = float(own.latitude_rad[first]), float(own.longitude_rad[first])
     level = float(own.height_m[first]) if np.isfinite(own.height_m[first]) else 0.0
@@ -74,17 +76,18 @@ def about_platform(fixes: Fixes, platform: Platform, sensor: Sensor) -> tuple[Fi
         velocity_north_mps=nothing,
         velocity_up_mps=nothing,
     )[known]
-    height = sensor.ellipsoidal_height_m
+    antenna = sensor.ellipsoidal_height_m
     fixed = msgspec.structs.replace(
         sensor,
         lat_deg=float(np.degrees(latitude)),
         lon_deg=float(np.degrees(longitude)),
-        height_m=level if height is None else height,
+        height_m=level if antenna is None else antenna,
         height_msl_m=None,
     )
     said = [f"{sensor.name}: its platform moves: the reference is taken relative to it, and the map is about the radar"]
     if not known.all():
-        said.append(f"{(~known).sum():,} of {len(fixes):,} reference positions are at times when the platform's own is not known: not used")
+        count = f"{(~known).sum():,} of {len(fixes):,} reference positions"
+        said.append(f"{count} are at times when the platform's own is not known: not used")
     return seen, fixed, tuple(said)
 
 
