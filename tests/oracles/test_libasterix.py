@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from boresight.model import unpack_callsigns
-from boresight.reading import read, uap
+from boresight.reading import capture, read, uap
 from boresight.reading.asterix import ItemRecord, decode_items
 
 base = pytest.importorskip("asterix.base")
@@ -189,7 +189,8 @@ def test_every_table_has_the_items_lengths_fields_and_units_of_libasterix(
 
 
 def test_every_supported_table_is_compared() -> None:
-    assert {(c, t) for c in uap.categories() for t in uap.editions_of(c)} == set(EDITIONS)
+    """But for the draft of 062, which libasterix does not have: `tests/reading/test_capture.py` judges that by physics."""
+    assert {(c, t) for c in uap.categories() for t in uap.editions_of(c)} == set(EDITIONS) | {(62, "0.17")}
 
 
 # ------------------------------------------------------------------------------------------------------------ real recordings
@@ -201,7 +202,13 @@ RECORDINGS = {
     "lebl-2016/adsb_cat021v023_160510-lebl-220001.ast": {21: "0.23"},
     "bcn-2023/230502-est-080001_BCN_60MN_08_09.ast": {},
     "croatia/cat048.raw": {},
+    "croatia/cat21_re.ast": {21: "2.x"},
+    "croatia/cat_001_002.pcap": {},
+    "croatia/cat_034_048.pcap": {},
+    "croatia/cat_062_065.pcap": {},
+    "croatia/parsegps.gps": {},
 }
+NEWER = {"croatia/cat21_re.ast": {21: (2, 7)}}
 LATEST = {
     1: (1, 4),
     2: (1, 2),
@@ -224,6 +231,18 @@ def blocks_of(data: bytes) -> list[bytes]:
         out.append(data[at:end])
         at = end
     return out
+
+
+def blocks_in(path: Path) -> list[bytes]:
+    """The blocks of a recording, out of whatever wraps them."""
+    known = frozenset(uap.categories())
+    head = path.read_bytes()
+    kind = capture.kind_of(head, len(head), known)
+    if kind == "raw":
+        return blocks_of(head)
+    mask = np.isin(np.arange(256), list(known))
+    parts = [capture.unwrapped(p, mask)[0] for p in capture.portions(path, kind, capture.Tally(), known)]
+    return [one for p in parts for one in blocks_of(p.data.tobytes())]
 
 
 @cache
@@ -333,7 +352,9 @@ def same(category: int, item: str, ours: list[Any], theirs: list[Any], path: str
     return sum(len(other) for other in theirs)
 
 
-def compare_all(blocks: list[bytes], editions: dict[int, str], every_value: int) -> tuple[int, int, int]:
+def compare_all(
+    blocks: list[bytes], editions: dict[int, str], every_value: int, newer: dict[int, tuple[int, int]] | None = None
+) -> tuple[int, int, int]:
     """Compare blocks; every `every_value`-th block also value by value.  Returns the numbers of records, items and values."""
     found = decode_items(b"".join(blocks), editions)
     records = items = values = at = 0
@@ -344,7 +365,8 @@ def compare_all(blocks: list[bytes], editions: dict[int, str], every_value: int)
             mine.append(waiting)
             waiting = next(found, None)
         at += len(block)
-        more = compare(block, mine, number % every_value == 0)
+        theirs = uap_for(block[0], newer[block[0]]) if newer and block[0] in newer else None
+        more = compare(block, mine, number % every_value == 0, theirs)
         records, items, values = records + len(mine), items + more[0], values + more[1]
     assert waiting is None
     return records, items, values
@@ -463,9 +485,10 @@ def test_every_item_of_made_records_equals_libasterix(category: int, table: str,
 @pytest.mark.real
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_every_item_of_every_tenth_block_equals_libasterix(data: Path, name: str) -> None:
-    blocks, shortened = accepted(blocks_of((data / name).read_bytes())[::10])
+    blocks = blocks_in(data / name)
+    blocks, shortened = accepted(blocks[:: 10 if len(blocks) > 1000 else 1])
     assert (shortened > 0) == ("cat020" in name)
-    records, items, values = compare_all(blocks, RECORDINGS[name], 10)
+    records, items, values = compare_all(blocks, RECORDINGS[name], 10 if len(blocks) > 1000 else 1, NEWER.get(name))
     assert records >= len(blocks)
     assert items >= 4 * records
     assert values >= records / 10
@@ -478,10 +501,11 @@ def test_every_item_of_every_block_equals_libasterix(data: Path, name: str) -> N
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
-    blocks, _ = accepted(blocks_of((data / name).read_bytes()))
+    blocks, _ = accepted(blocks_in(data / name))
     parts = [blocks[k : k + 4000] for k in range(0, len(blocks), 4000)]
     with ProcessPoolExecutor(2, mp_context=get_context("forkserver")) as pool:
-        done = list(pool.map(compare_all, parts, [RECORDINGS[name]] * len(parts), [10] * len(parts)))
+        n = len(parts)
+        done = list(pool.map(compare_all, parts, [RECORDINGS[name]] * n, [10] * n, [NEWER.get(name)] * n))
     assert sum(records for records, _, _ in done) == len(read(data / name).offset)
 
 

@@ -405,7 +405,7 @@ def test_a_stream_waits_until_it_can_tell_the_edition() -> None:
 def test_a_file_of_which_nothing_can_be_read_is_one_clear_error(tmp_path: Path, data: bytes, message: str) -> None:
     path = write(tmp_path, data)
     with pytest.raises(InputError, match=message) as caught:
-        read(path, date=DATE)
+        read_asterix(path, date=DATE)
     assert caught.value.path == path
     assert caught.value.remedy
 
@@ -430,7 +430,7 @@ def test_the_digest_of_a_file_is_its_sha_256(tmp_path: Path) -> None:
 
 def test_a_truncated_file_keeps_all_but_the_last_record(tmp_path: Path) -> None:
     data = b"".join(block(10, smr(float(k))) for k in range(10))
-    recording = read(write(tmp_path, data[:-5]), date=DATE)
+    recording = read_asterix(write(tmp_path, data[:-5]), date=DATE)
     assert recording.records == 9
     (damage,) = recording.damaged
     assert damage.offset == 9 * len(data) // 10 + 3

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from ..errors import InputError
@@ -21,13 +21,16 @@ def read(
     editions: Mapping[int, str] | None = None,
     date: datetime.date | None = None,
     columns: str | Path | None = None,
+    categories: Collection[int] | None = None,
+    sources: Collection[int] | None = None,
 ) -> Recording:
     """Read a recording: its plots, fixes, tracks, own ship, sources, damage and warnings.
 
-    ASTERIX (raw data blocks), NMEA 0183 with AIS, RTKLIB solutions, OpenSky state vectors, CSV and Parquet tables, and the
-    Autoferry benchmark (a file or a scenario's folder) are told apart by what is in them.  `editions` names the edition of an
-    ASTERIX category (``{21: "0.23"}``; inferred where it is not given), `date` is the UTC date of the first record of a file that
-    tells only times of day, `columns` the column map (TOML) of a table.
+    ASTERIX (raw data blocks, packet captures, final-format and GPS-stamped files), NMEA 0183 with AIS, RTKLIB solutions, OpenSky
+    state vectors, CSV and Parquet tables, and the Autoferry benchmark (a file or a scenario's folder) are told apart by what is
+    in them.  `editions` names the edition of an ASTERIX category (``{21: "0.23"}``; inferred where it is not given), `date` is
+    the UTC date of the first record of a file that tells only times of day, `columns` the column map (TOML) of a table.
+    `categories` and `sources` (``sac << 8 | sic``) choose records of ASTERIX.
 
     Raises InputError for a file that cannot be used, with what to do about it.
     """
@@ -58,7 +61,7 @@ def read(
         return read_opensky(path)
     if looks_like_table(head):
         return read_table(path, date=date)
-    return read_asterix(path, editions=editions, date=date)
+    return read_asterix(path, editions=editions, date=date, categories=categories, sources=sources)
 
 
 def _head(path: str | Path) -> bytes:

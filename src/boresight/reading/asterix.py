@@ -499,12 +499,13 @@ def _extract(
 
 @kernel
 def _unwrap(
-    tod: FloatArray, period: FloatArray, source: IntArray, receive: FloatArray, last: FloatArray, latest: float, day_s: float,
-    out: FloatArray,
+    tod: FloatArray, period: FloatArray, source: IntArray, receive: FloatArray, last: FloatArray, heard: FloatArray,
+    latest: float, day_s: float, out: FloatArray,
 ) -> float:  # fmt: skip
     """Times of day to times since 1970 (s): each within half a day of its reception, else of its source's last or of `latest`.
 
-    A time with a `period` is the rest of a time of day by it: it is taken next to its source's last time, else its reception.
+    A time with a `period` is the rest of a time of day by it: it is taken next to its source's last time (and what has passed
+    since by the receiver's clock, `heard` being when that was received), else next to its reception.
     """
     for i in range(len(tod)):
         if np.isnan(tod[i]):
@@ -519,8 +520,11 @@ def _unwrap(
             if not np.isnan(near):
                 t = tod[i] + 86400.0 * np.rint((near - tod[i]) / 86400.0)
         else:
+            passed = receive[i] - heard[source[i]]
             if np.isnan(near):
                 near = receive[i]
+            elif not np.isnan(passed):
+                near += passed
             if np.isnan(near):
                 continue
             # A day is no whole number of periods: each day is tried by itself.
@@ -532,6 +536,7 @@ def _unwrap(
                 if abs(one - near) < abs(t - near):
                     t = one
         out[i] = last[source[i]] = latest = t
+        heard[source[i]] = receive[i]
     return latest
 
 
@@ -634,14 +639,16 @@ class DecodeState:
     """What the next bytes of a stream depend on.
 
     `day` is the UTC day (since 1970) of the first record; `latest_s` the last time read, and `stamps` the last one of each source
-    (``sac << 8 | sic``): they keep the day across midnight, in both directions.  `editions` are those given or inferred so far.
-    `offset` bytes and `records` records have been read, so that places and numbers are those of the whole stream.  Records of
-    other than the wanted `categories` and `sources` (None: all) are read for their time and site, but not kept.
+    (``sac << 8 | sic``), received at `heard`: they keep the day across midnight, in both directions.  `editions` are those given
+    or inferred so far.  `offset` bytes and `records` records have been read, so that places and numbers are those of the whole
+    stream.  Records of other than the wanted `categories` and `sources` (None: all) are read for their time and site, but not
+    kept.
     """
 
     day: int = 0
     latest_s: float = float("nan")
     stamps: Mapping[int, float] = field(default_factory=dict)
+    heard: Mapping[int, float] = field(default_factory=dict)
     editions: Mapping[int, str] = field(default_factory=dict)
     offset: int = 0
     records: int = 0
@@ -1155,8 +1162,11 @@ def _assemble(
     ids, index = np.unique(source, return_inverse=True)
     last = np.array([state.stamps.get(int(s), np.nan) for s in ids])
     time_s = np.full(n, np.nan)
+    heard = np.array([state.heard.get(int(s), np.nan) for s in ids])
     received = receive(start)
-    latest = float(_unwrap(tod, period, index.astype(np.int64), received, last, state.latest_s, state.day * DAY_S, time_s))
+    rows = index.astype(np.int64)
+    latest = float(_unwrap(tod, period, rows, received, last, heard, state.latest_s, state.day * DAY_S, time_s))
+    clocks = dict(state.heard) | {int(s): float(t) for s, t in zip(ids, heard, strict=True) if np.isfinite(t)}
     stamps = dict(state.stamps) | {int(s): float(t) for s, t in zip(ids, last, strict=True) if np.isfinite(t)}
     # Sites and notes, also of records that are not wanted.
     site: dict[tuple[int, float, float, float], None] = {}
@@ -1228,7 +1238,9 @@ def _assemble(
         unknown={}, clipped=clipped, truncated=int(np.count_nonzero((period > 0) & np.isfinite(tod) & np.isnan(time_s) & kept)),
         notes=notes,
     )  # fmt: skip
-    return records, replace(state, latest_s=latest, stamps=stamps, editions=editions, records=state.records + len(rows))
+    return records, replace(
+        state, latest_s=latest, stamps=stamps, heard=clocks, editions=editions, records=state.records + len(rows)
+    )
 
 
 def _forms(data: ByteArray, start: IntArray, items: AnyArray, rows: IntArray, category: int) -> list[tuple[int, IntArray]]:
