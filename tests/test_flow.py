@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from boresight import flow
-from boresight.errors import InputError, NothingToDo
-from boresight.model import load_sensors
+from boresight.errors import InputError, NothingToDo, SettingsError
+from boresight.model import Fixes, Plots, Recording, Source, load_sensors
 from boresight.simulation import write_demo
 
 
@@ -85,3 +86,97 @@ def test_an_unwritable_folder_is_said(scene, tmp_path: Path) -> None:  # type: i
     blocked.write_text("in the way")
     with pytest.raises(InputError, match="no folder"):
         flow.calibrate(files.plots, files.reference, load_sensors(files.sensors), date=files.date, out=blocked / "out")
+
+
+def test_options_that_make_no_sense_are_told_before_anything_is_read(scene, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """The recordings named here do not exist: whoever reads first complains of that instead."""
+    _, files = scene
+    sensors = load_sensors(files.sensors)
+    nowhere = tmp_path / "nowhere.ast"
+    with pytest.raises(SettingsError, match="no term or model named 'foo'"):
+        flow.calibrate([nowhere], [nowhere], sensors, model="foo")
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    with pytest.raises(InputError, match="no folder"):
+        flow.calibrate([nowhere], [nowhere], sensors, out=blocked)
+    with pytest.raises(InputError, match=r"nowhere\.ast"):
+        flow.calibrate([nowhere], [nowhere], sensors, out=tmp_path / "new" / "out")
+    assert not (tmp_path / "new").exists()
+    with pytest.raises(SettingsError, match="-1 is no seed"):
+        flow.demo(tmp_path / "demo", seed=-1)
+    assert not (tmp_path / "demo").exists()
+
+
+def test_a_file_given_twice_is_read_once(scene) -> None:  # type: ignore[no-untyped-def]
+    _, files = scene
+    sensors = load_sensors(files.sensors)
+    once = flow.calibrate(files.plots[:1], files.reference, sensors, date=files.date)
+    twice = flow.calibrate([*files.plots[:1], *files.plots[:1]], files.reference, sensors, date=files.date)
+    np.testing.assert_array_equal(once.calibration.value, twice.calibration.value)
+    assert len(twice.calibration.inputs) == len(once.calibration.inputs)
+    assert any("given twice" in text for text in twice.calibration.warnings)
+
+
+def recording(path: str, *parts: tuple[Source, int]) -> Recording:
+    """A recording of sources with so many positions each."""
+    source = np.concatenate([np.full(n, s.id, np.int32) for s, n in parts])
+    return Recording(
+        path=path, plots=Plots(), fixes=Fixes(time_s=np.arange(float(len(source))), source=source), damaged=(), warnings=(),
+        sources=tuple(s for s, _ in parts), by_category={}, offset=np.arange(len(source)),
+    )  # fmt: skip
+
+
+def source(sic: int, category: int, plots: int) -> Source:
+    return Source(
+        sac=1, sic=sic, category=category, edition="", records=9, plots=plots, start_s=0.0, end_s=1.0, targets=1
+    )  # fmt: skip
+
+
+def test_a_radar_is_no_reference_for_itself() -> None:
+    radar, station = source(7, 10, plots=5), source(9, 21, plots=0)
+    measured = Plots(time_s=np.zeros(3), sensor=np.full(3, radar.id, np.int32))
+    warnings: list[str] = []
+    with pytest.raises(NothingToDo, match="its own reference"):
+        flow._others([recording("smr.ast", (radar, 5))], measured, warnings)
+    # In a capture of everything, what the radar did not make stays.
+    left = flow._others([recording("all.pcap", (radar, 5), (station, 4))], measured, warnings)
+    assert left.source.tolist() == [station.id] * 4
+    assert len(warnings) == 1
+    assert "5 of 9 positions in all.pcap" in warnings[0]
+    # A station beside the radar that uses its SAC/SIC is not the radar.
+    shared = source(7, 21, plots=0)
+    assert len(flow._others([recording("adsb.ast", (shared, 6))], measured, warnings)) == 6
+    assert len(flow._others([recording("other.ast", (source(8, 10, plots=2), 3))], measured, warnings)) == 3
+    assert len(warnings) == 1
+
+
+def test_results_appear_together_or_not_at_all(scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
+    import boresight.report
+
+    _, files = scene
+    sensors = load_sensors(files.sensors)
+    out = tmp_path / "new" / "out"
+    run = flow.calibrate(files.plots[:1], files.reference, sensors, date=files.date, out=out)
+    names = ["calibration.json", "report.html", "residuals.parquet"]
+    first = {name: (out / name).read_bytes() for name in names}
+
+    def stops(problem: BaseException) -> Callable[..., None]:
+        def stopped(path: Path, *_: object, **__: object) -> None:
+            path.write_text("half a page")
+            raise problem
+
+        return stopped
+
+    for problem, said in (
+        (OSError(28, "No space left on device"), InputError),
+        (InputError("cannot be written", path="report.html"), InputError),
+        (KeyboardInterrupt(), KeyboardInterrupt),
+    ):
+        monkeypatch.setattr(boresight.report, "write_report", stops(problem))
+        with pytest.raises(said):
+            flow.write_results(run, sensors, out)
+        assert sorted(p.name for p in out.iterdir()) == names
+        assert {name: (out / name).read_bytes() for name in names} == first
+        with pytest.raises(said):
+            flow.write_results(run, sensors, tmp_path / "never" / "was")
+        assert not (tmp_path / "never").exists()

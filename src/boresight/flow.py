@@ -7,15 +7,17 @@ Nothing is computed here; each step is the public verb of its own module.
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import hashlib
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from . import __version__
-from .errors import InputError, NothingToDo
+from .errors import InputError, NothingToDo, SettingsError
 from .model import Fixes, Platform, Plots, Recording, Sensors, Source, load_sensors
 
 if TYPE_CHECKING:
@@ -80,14 +82,21 @@ def calibrate(
     from .measure import site_warnings
     from .platform import fix_platforms
     from .registration import register
+    from .terms import terms_of
 
     if not plots or not reference:
         raise InputError("at least one recording of plots and one of reference positions are needed")
+    # What is wrong with the options is told before minutes are spent on the recordings.
+    if model != "auto":
+        terms_of(model)
+    if out is not None:
+        _check_folder(Path(out))
     warnings: list[str] = []
+    plots, reference = _once(plots, warnings), _once(reference, warnings)
     radar = _read_all(plots, editions, date, warnings, progress)
     trusted = _read_all(reference, editions, date, warnings, progress)
     measured = _with_known_sensor(Plots.concat([r.plots for r in radar]), sensors, radar, warnings)
-    fixes = Fixes.concat([r.fixes for r in trusted])
+    fixes = _others(trusted, measured, warnings)
     if not len(fixes):
         raise NothingToDo(
             f"no record of {_names(trusted)} holds a position", remedy="--reference needs ADS-B or multilateration reports."
@@ -122,27 +131,43 @@ def calibrate(
 
 
 def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> None:
-    """Write calibration.json, residuals.parquet and report.html into the folder `out`, keeping what was there."""
+    """Write calibration.json, residuals.parquet and report.html into the folder `out`, keeping what was there.
+
+    The three appear together or not at all: on a full disk or Ctrl-C an earlier result stays as it was.  Raises InputError.
+    """
     from .calibration import save_calibration
     from .report import write_report
     from .writing.tables import write_table
 
+    made = _missing_folders(out)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"is no folder that can be written to ({error.strerror})", path=out) from error
-    _keep_earlier(out, _RESULTS)
-    save_calibration(run.calibration, out / "calibration.json")
-    write_table(out / "residuals.parquet", run.residuals)
-    write_report(
-        out / "report.html",
-        run.calibration,
-        run.residuals,
-        sensors,
-        title=title or "Radar calibration",
-        truth={name: {row.term: row.true for row in rows} for name, rows in run.truth.items()},
-        association=run.association,
-    )
+        raise _no_folder(out, error) from error
+    try:
+        with tempfile.TemporaryDirectory(prefix=".boresight-", dir=out) as part:
+            beside = Path(part)
+            save_calibration(run.calibration, beside / "calibration.json")
+            write_table(beside / "residuals.parquet", run.residuals)
+            write_report(
+                beside / "report.html",
+                run.calibration,
+                run.residuals,
+                sensors,
+                title=title or "Radar calibration",
+                truth={name: {row.term: row.true for row in rows} for name, rows in run.truth.items()},
+                association=run.association,
+            )
+            _keep_earlier(out, _RESULTS)
+            for name in _RESULTS:
+                (beside / name).rename(out / name)
+    except (InputError, OSError) as error:
+        _remove_empty(made)
+        why = f"{error}".removeprefix(f"{beside}/") if isinstance(error, InputError) else error.strerror or f"{error}"
+        raise InputError(f"the results cannot be written: {why}", path=out) from error
+    except BaseException:
+        _remove_empty(made)
+        raise
 
 
 def correct_files(
@@ -181,6 +206,8 @@ def demo(out: str | Path, *, seed: int = 1, progress: Progress = _silent) -> Run
     """Simulate two radars with known errors, write real ASTERIX, calibrate from those files, and set found against true."""
     from .simulation.demo import demo_files, write_demo
 
+    if seed < 0:
+        raise SettingsError(f"{seed} is no seed", where="--seed", remedy="Give 0 or more.")
     progress("simulating two radars and 30 aircraft")
     folder = Path(out)
     _keep_earlier(folder, _RESULTS + tuple(p.name for p in demo_files(folder)))
@@ -214,9 +241,9 @@ def _read_all(
         warnings += [f"{path}: {text}" if str(path) not in text else text for text in recording.warnings]
         if recording.damaged:
             first = recording.damaged[0]
-            warnings.append(
-                f"{path}: {len(recording.damaged)} damaged places were left out; the first at byte {first.offset}: {first.why}"
-            )
+            places = len(recording.damaged)
+            what = "one damaged place was left out" if places == 1 else f"{places:,} damaged places were left out; the first"
+            warnings.append(f"{path}: {what} at byte {first.offset}: {first.why}")
         recordings.append(recording)
     return recordings
 
@@ -242,6 +269,38 @@ def _with_known_sensor(plots: Plots, sensors: Sensors, recordings: Sequence[Reco
         warnings.append(f"sensors.toml has no entry for SAC/SIC {listed}: left out")
         return plots[np.isin(plots.sensor, ids[known])]
     return plots
+
+
+def _once(paths: Sequence[str | Path], warnings: list[str]) -> list[str | Path]:
+    """The paths without those that were given before."""
+    kept: dict[Path, str | Path] = {}
+    for path in paths:
+        real = Path(path).resolve()
+        if real in kept:
+            warnings.append(f"{path} was given twice: read once")
+        kept.setdefault(real, path)
+    return list(kept.values())
+
+
+def _others(recordings: Sequence[Recording], plots: Plots, warnings: list[str]) -> Fixes:
+    """The positions of the reference, without those that a radar under calibration made of its own measurements."""
+    import numpy as np
+
+    radars = set(np.unique(plots.sensor).tolist())
+    kept: list[Fixes] = []
+    for r in recordings:
+        # A station may share its SAC/SIC with a radar beside it: only a source that itself measures is the radar.
+        own = {s.id for s in r.sources if s.plots} - {s.id for s in r.sources if not s.plots}
+        mine = np.isin(r.fixes.source, sorted(own & radars))
+        if mine.any():
+            said = f"{int(mine.sum()):,} of {len(r.fixes):,} positions in {r.path} are the radar's own"
+            if mine.all() and len(recordings) == 1:
+                raise NothingToDo(
+                    f"{said}: a radar cannot be its own reference", remedy="--reference needs ADS-B or multilateration reports."
+                )
+            warnings.append(f"{said}: not used as a reference")
+        kept.append(r.fixes[~mine])
+    return Fixes.concat(kept)
 
 
 def _names(recordings: Sequence[Recording]) -> str:
@@ -282,6 +341,35 @@ def _truth_rows(found: Calibration, truth: Mapping[str, Mapping[str, float]]) ->
             filled.append(TruthRow(term, true, value, sd, TERMS[term].unit))
         rows[sensor] = tuple(filled)
     return rows
+
+
+def _no_folder(folder: Path, error: OSError) -> InputError:
+    return InputError(f"is no folder that can be written to ({error.strerror})", path=folder, remedy="Name another one.")
+
+
+def _missing_folders(folder: Path) -> list[Path]:
+    """The folder and those above it that do not exist, innermost first."""
+    return [p for p in (folder, *folder.parents) if not p.exists()]
+
+
+def _remove_empty(folders: Sequence[Path]) -> None:
+    """Remove what was made for results that never came; a folder that somebody has used stays."""
+    with contextlib.suppress(OSError):
+        for folder in folders:
+            folder.rmdir()
+
+
+def _check_folder(folder: Path) -> None:
+    """Raise InputError where results could not be written to this folder; leaves nothing behind."""
+    made = _missing_folders(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".boresight-", dir=folder):
+            pass
+    except OSError as error:
+        raise _no_folder(folder, error) from error
+    finally:
+        _remove_empty(made)
 
 
 def _keep_earlier(folder: Path, names: Sequence[str]) -> None:

@@ -108,3 +108,28 @@ def test_info_on_real_recordings(data: Path) -> None:
     assert first["damaged"] == []
     assert second["records"] == 49_330
     assert {s["edition"] for s in second["sources"]} == {"0.23"}
+
+
+@pytest.mark.parametrize("raised", ["KeyboardInterrupt()", "SystemError('a result with an exception set')"])
+def test_an_interruption_is_one_line_and_130(raised: str) -> None:
+    """Inside compiled code Ctrl-C comes out as a SystemError whose cause it is."""
+    script = f"""
+from boresight import cli
+
+def command():
+    try:
+        raise KeyboardInterrupt
+    except KeyboardInterrupt as error:
+        raise {raised} from error
+
+cli.app.command(command, name="stop")
+cli.main(["stop"])
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 130, done.stderr
+    assert done.stderr == "boresight: interrupted; nothing half-written was left\n"
+
+
+def test_a_seed_is_not_negative(tmp_path: Path) -> None:
+    assert "--seed" in mistake("demo", "--seed", "-1", "--out", tmp_path / "demo")
+    assert not (tmp_path / "demo").exists()

@@ -26,6 +26,7 @@ app = cyclopts.App(
     version=__version__,
     help_format="plaintext",
     result_action="return_value",
+    suppress_keyboard_interrupt=False,
 )
 for _command in (demo, info, calibrate, correct, convert, warm):
     app.command(_command)
@@ -44,11 +45,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # The reader of our output (head, say) has gone: nothing more to tell it, and no traceback at exit either.
         sys.stdout = None
     except KeyboardInterrupt:
-        print("boresight: interrupted; nothing half-written was left", file=sys.stderr)
-        raise SystemExit(130) from None
+        _interrupted()
+    except SystemError as error:
+        # Ctrl-C while compiled code is entered or left comes out as this.
+        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            raise
+        _interrupted()
     except OSError as error:
         _fail(f"{error.filename or 'the system'}: {error.strerror or error}")
     raise SystemExit(0)
+
+
+def _interrupted() -> None:
+    print("boresight: interrupted; nothing half-written was left", file=sys.stderr)
+    raise SystemExit(130) from None
 
 
 def _fail(message: str) -> None:
