@@ -21,6 +21,7 @@ from .errors import InputError, NothingToDo, SettingsError
 from .model import Fixes, Platform, Plots, Recording, Sensors, Source, load_sensors
 
 if TYPE_CHECKING:
+    from ._types import IntArray
     from .assessment.residuals import Residuals
     from .association import Association
     from .calibration import Calibration, Input
@@ -46,11 +47,17 @@ class TruthRow:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What one run found; `truth` is filled where the scene was simulated."""
+    """What one run found.
+
+    `targets` names the targets of the pairs (number -> Mode S address, MMSI, callsign or track number), `reference` the files
+    that were the reference; `truth` is filled where the scene was simulated.
+    """
 
     calibration: Calibration
     association: Association
     residuals: Residuals
+    targets: Mapping[int, str] = field(default_factory=dict)
+    reference: tuple[str, ...] = ()
     truth: Mapping[str, tuple[TruthRow, ...]] = field(default_factory=dict)
 
 
@@ -123,7 +130,14 @@ def calibrate(
         version=__version__,
     )
     left = residuals(association.pairs, sensors, found)
-    run = Run(found, association, left, _truth_rows(found, truth or {}))
+    run = Run(
+        found,
+        association,
+        left,
+        targets=_target_names(fixes, association.pairs.target),
+        reference=tuple(str(file) for path in reference for file in _files_of(path)),
+        truth=_truth_rows(found, truth or {}),
+    )
     if out is not None:
         progress("writing the report")
         write_results(run, sensors, Path(out), title=title)
@@ -157,6 +171,8 @@ def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> 
                 title=title or "Radar calibration",
                 truth={name: {row.term: row.true for row in rows} for name, rows in run.truth.items()},
                 association=run.association,
+                targets=run.targets,
+                reference=run.reference,
             )
             _keep_earlier(out, _RESULTS)
             for name in _RESULTS:
@@ -301,6 +317,30 @@ def _others(recordings: Sequence[Recording], plots: Plots, warnings: list[str]) 
             warnings.append(f"{said}: not used as a reference")
         kept.append(r.fixes[~mine])
     return Fixes.concat(kept)
+
+
+def _target_names(fixes: Fixes, used: IntArray) -> dict[int, str]:
+    """What the reference calls the targets that were paired."""
+    import numpy as np
+
+    from .alignment import targets_of
+    from .model import unpack_callsigns
+
+    target = targets_of(fixes)
+    rows = np.flatnonzero(np.isin(target, used))
+    names: dict[int, str] = {}
+    # Not every record carries everything: the strongest name that any of them does is taken.
+    for column, least, text in (
+        (np.where(fixes.mode_s < 0xFFFFFF, fixes.mode_s, 0), 1, lambda v: f"{v:06X}"),
+        (fixes.mmsi, 1, str),
+        (fixes.callsign, 1, lambda v: unpack_callsigns(np.array([v]))[0]),
+        (fixes.track, 0, lambda v: f"track {v}"),
+    ):
+        known = rows[column[rows] >= least]
+        found, first = np.unique(target[known], return_index=True)
+        for number, row in zip(found.tolist(), known[first].tolist(), strict=True):
+            names.setdefault(number, text(int(column[row])))
+    return names
 
 
 def _names(recordings: Sequence[Recording]) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,7 +21,8 @@ from boresight.errors import InputError
 from boresight.model import Sensors
 from boresight.report import write_report
 from boresight.report.figures import binned, group_quantiles, quantities, robust_sd
-from boresight.report.page import decimals, number, quantile95, render, verdict
+from boresight.report.page import decimals, number, render, rows_of, verdict
+from boresight.terms import TERMS
 from conftest import Scene
 
 FIGURES = ("map", "tracks", "curve", "residuals", "targets", "histograms")
@@ -238,9 +240,44 @@ def test_numbers_have_a_true_minus_and_no_negative_zero() -> None:
     assert decimals(0.0123) == 3
 
 
-@pytest.mark.parametrize("clusters", [2, 5, 29, 59])
-def test_intervals_use_the_t_quantile(clusters: int) -> None:
-    assert quantile95(clusters) == pytest.approx(student.ppf(0.975, clusters - 1), rel=1e-9)
+def test_intervals_and_grey_rows_are_those_of_the_calibration(scene: Scene) -> None:
+    """Few targets that tell as much make wide intervals; a row is grey exactly where its interval holds zero."""
+    few = msgspec.structs.replace(scene.calibration.sensors[0], effective_targets=5.0)
+    found = replace_calibration(scene.calibration, sensors=(few,))
+    interval = found.interval(0.95)[0]
+    # t of 4 degrees of freedom, by a covariance that is wider than its scale by 4 / (4 - 2)
+    half = student.ppf(0.975, 4) * np.sqrt(2 / 4) * found.sd[0]
+    np.testing.assert_allclose(interval, np.stack([found.value[0] - half, found.value[0] + half], 1), rtol=1e-9)
+    rows = rows_of(found, few, {})
+    assert [row.name for row in rows] == [key.name for key in found.terms]
+    for row, key, (low, high) in zip(rows, found.terms, interval, strict=True):
+        scale = TERMS[key.name].si_per_unit
+        places = len(row.sd.partition(".")[2])
+        assert (row.low, row.high) == (number(low / scale, places, sign=True), number(high / scale, places, sign=True))
+        assert row.significant == (low * high > 0)
+
+
+def test_who_is_handed_the_report_finds_targets_files_and_sensors(scene: Scene) -> None:
+    names = {int(k): f"34{k:04X}" for k in np.unique(scene.residuals.target)}
+    html = html_of(scene, targets=names, reference=["adsb.ast"])
+    page = Page(html)
+    assert all(name in page.text for name in names.values())
+    assert "Mode S address" in page.text
+    assert "<td>radar.ast</td><td>radar</td>" in html
+    assert "<td>adsb.ast</td><td>reference</td>" in html
+    sensor = scene.sensors.find(scene.calibration.sensors[0].sensor)
+    assert sensor is not None
+    assert f"{sensor.lat_deg:.6f}°, {sensor.lon_deg:.6f}°" in page.text
+    assert "combined primary and secondary radar, SAC/SIC 1/1" in page.text
+
+
+def test_every_setting_of_the_estimate_is_explained() -> None:
+    from msgspec.structs import asdict
+
+    from boresight.registration import LeastSquares
+    from boresight.report.page import _SETTINGS
+
+    assert set(_SETTINGS) == {"method", *asdict(LeastSquares())}
 
 
 def test_verdict_says_direction_and_what_is_not_distinguishable(scene: Scene) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -497,7 +497,7 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
     caption = (
         f"Where the plots lie against the reference. Each arrow leads from the reference to the median position "
         "of the radar's plots in "
-        f"a map cell of {cell / 1e3:.2g} km, {scale}, the same in both panels; {few}"
+        f"a map cell of {_size(cell)}, {scale}, the same in both panels; {few}"
         f"What is left after correction should be short and point in no common direction. {_count(n)} plots."
     )
     if len(names) > MAX_TRACKS:
@@ -507,8 +507,8 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
     return Drawing(name, svg, caption, "Two maps of error arrows, before and after correction")
 
 
-def zoom_figure(r: Residuals, name: str) -> Drawing | None:
-    """Up to three stretches of track at true scale: reference, raw plots, corrected plots."""
+def zoom_figure(r: Residuals, name: str, *, targets: Mapping[int, str] | None = None) -> Drawing | None:
+    """Up to three stretches of track at true scale: reference, raw plots, corrected plots; `targets` names the targets."""
     from matplotlib.ticker import MaxNLocator
 
     x, y = ground(r)
@@ -585,7 +585,7 @@ def zoom_figure(r: Residuals, name: str) -> Drawing | None:
             axes.set_xlabel(f"east ({unit})")
             speed = np.nanmedian(r.reference_speed_mps[inside]) if np.isfinite(r.reference_speed_mps[inside]).any() else np.nan
             moving = f", {speed:.0f} m/s" if np.isfinite(speed) else ""
-            axes.set_title(f"Target {r.target[middle]}: {_km(r.reference_range_m[middle])} away{moving}")
+            axes.set_title(f"{_target_name(int(r.target[middle]), targets)}: {_km(r.reference_range_m[middle])} away{moving}")
         row[0].set_ylabel(f"north ({unit})")
         _legend(
             figure,
@@ -617,6 +617,14 @@ def _pass(x: FloatArray, y: FloatArray, rows: IntArray, middle: int, reach: floa
 
 def _km(metres: float) -> str:
     return f"{metres / 1e3:.0f} km" if metres >= 2e4 else f"{metres / 1e3:.1f} km"
+
+
+def _target_name(number: int, targets: Mapping[int, str] | None) -> str:
+    return (targets or {}).get(number, f"Target {number}")
+
+
+def _size(metres: float) -> str:
+    return f"{metres / 1e3:.2g} km" if metres >= 1e3 else f"{metres:.2g} m"
 
 
 def _joined(r: Residuals, rows: IntArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -713,20 +721,20 @@ def _span(x: FloatArray, label: str) -> tuple[float, float]:
     return low - (margin if low else 0.0), high + margin
 
 
-def target_figure(r: Residuals, name: str) -> Drawing | None:
+def target_figure(r: Residuals, name: str, *, targets: Mapping[int, str] | None = None) -> Drawing | None:
     """Every target's median error in each channel and in horizontal distance, before and after correction."""
     if not len(r):
         return None
     shown = [*quantities(r), *_distance(r)]
     if not shown:
         return None
-    targets, which = np.unique(r.target, return_inverse=True)
-    n = len(targets)
+    numbers, which = np.unique(r.target, return_inverse=True)
+    n = len(numbers)
     rank = np.argsort(group_quantiles(r.distance_before_m, which, n, (0.5,))[0][0], kind="stable")
     named = n <= 48
     at = np.arange(n, dtype=np.float64)
     with _style(name):
-        words = [str(targets[k]) for k in rank] if named else []
+        words = [(targets or {}).get(int(numbers[k]), str(numbers[k])) for k in rank] if named else []
         bottom = 0.46 + (0.055 * max(map(len, words)) if n > 8 and named else 0.0)
         figure, grid = _panels(
             len(shown), 1, 0.45 + bottom + 1.25 * len(shown) + 0.14 * (len(shown) - 1), gap=(0.0, 0.14), top=0.45, bottom=bottom
@@ -768,6 +776,8 @@ def target_figure(r: Residuals, name: str) -> Drawing | None:
         "target that stands apart "
         "after correction has an error of its own (transponder, reference, association)."
     )
+    if named and targets:
+        caption += " A target's name is its Mode S address, else its MMSI, callsign or track number."
     return Drawing(name, svg, caption, "Median errors of each target before and after correction")
 
 

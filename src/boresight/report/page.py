@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -51,8 +52,6 @@ _WORDS: dict[str, tuple[str, str]] = {
     "tilt_east": ("leans so that elevations in the east are {} too high", "leans so that elevations in the east are {} too low"),
 }
 
-# Meanings that only make sense next to another term's.
-
 # Why a plot took no part, in words that need no knowledge of the program.
 _REASONS = {
     "flag": "marked by the radar as simulated, test, garbled, reflection, side lobe, second-time-around, monitor or extrapolated",
@@ -67,6 +66,33 @@ _REASONS = {
     "outside the gate": "farther from the reference than the gate allows",
 }
 
+_KINDS = {
+    "psr": "primary radar",
+    "ssr": "secondary radar",
+    "combined": "combined primary and secondary radar",
+    "mode_s": "Mode S radar",
+    "surface": "surface movement radar",
+    "marine": "marine radar",
+    "mlat": "multilateration",
+    "adsb": "ADS-B",
+    "ais": "AIS",
+    "system": "system tracks",
+}
+
+# What the settings of an estimate mean, for who is handed the report.
+_SETTINGS = {
+    "method": "how the errors were estimated",
+    "soft_sd": "a pair within so many standard deviations has its full weight",
+    "hard_sd": "a pair beyond so many standard deviations has none",
+    "max_correlation": "two terms that correlate by this or more are not told apart",
+    "rank_tolerance": "a term of which less than this share is left beside the others is not determined",
+    "well_known": "a term known to better than this part of what is plausible stays in spite of its correlation",
+    "short_block_s": "quick errors of a target are taken as constant over so many seconds (0: by the kind of sensor)",
+    "long_block_s": "slow errors of a target are taken as constant over so many seconds (0: by the kind of sensor)",
+    "agreement": "probability below which the weights of a target's plots count as wrong, and every plot counts for itself",
+    "max_iterations": "steps that the estimate may take",
+}
+
 GLOSSARY = (
     ("bias", "measured minus true. The correction is its opposite."),
     ("range error", "positive: the radar measures too long a distance."),
@@ -75,7 +101,8 @@ GLOSSARY = (
     ("time offset", "stamp minus true time. Positive: plots are stamped late, and lie behind where the target is at the stamp."),
     ("along heading", "positive: the echo lies ahead of the reference's antenna on the target; negative: behind it."),
     ("sd", "standard deviation of an estimate (1 sigma), with plots of one target counted as dependent."),
-    ("95 % interval", "the true value lies in it in 95 of 100 such calibrations (t quantile for the number of targets)."),
+    ("95 % interval", "the true value lies in it in 95 of 100 such calibrations (by Student's t for the number of targets)."),
+    ("random error", "scatter of single plots, without the systematic errors and without the reference's own uncertainty."),
     ("held out", "errors of targets that took no part in the estimate with which they were corrected."),
     ("distance", "horizontal distance between plot and reference, with the plot put at the reference's height."),
     ("robust sd", "1.4826 times the median absolute deviation: the sd without the say of outliers."),
@@ -93,18 +120,22 @@ def write_report(
     warnings: Sequence[str] = (),
     clock: Mapping[str, str] | None = None,
     association: Association | None = None,
+    targets: Mapping[int, str] | None = None,
+    reference: Sequence[str] = (),
 ) -> Path:
     """Write the report of a calibration as one self-contained HTML file, and return its path.
 
     `truth` holds the true values of a simulated scene, sensor name -> term -> value in the term's unit.  `warnings` come on
     top of the calibration's own.  `clock` holds lines (what -> finding) on the clocks; `association` gives the plots not used and
-    the coarse biases.  The file is written beside and then renamed; the same arguments give the same bytes.
+    the coarse biases.  `targets` names the targets (number -> address or callsign); `reference` are the paths among the inputs
+    that are the reference.  The file is written beside and then renamed; the same arguments give the same bytes.
 
     Raises InputError where the file cannot be written.
     """
     text = render(
-        calibration, residuals, sensors, title=title, truth=truth, warnings=warnings, clock=clock, association=association
-    )
+        calibration, residuals, sensors, title=title, truth=truth, warnings=warnings, clock=clock, association=association,
+        targets=targets, reference=reference,
+    )  # fmt: skip
     target = Path(path)
     write_text(target, text)
     return target
@@ -120,6 +151,8 @@ def render(
     warnings: Sequence[str] = (),
     clock: Mapping[str, str] | None = None,
     association: Association | None = None,
+    targets: Mapping[int, str] | None = None,
+    reference: Sequence[str] = (),
 ) -> str:
     """The report of `write_report` as text."""
     from importlib.resources import files
@@ -132,7 +165,10 @@ def render(
     truth = truth or {}
     drawn = _Numbered()
     sections = [
-        _section(calibration, summary, residuals[residuals.sensor == summary.sensor], sensors, truth.get(summary.name, {}), drawn)
+        _section(
+            calibration, summary, residuals[residuals.sensor == summary.sensor], sensors, truth.get(summary.name, {}), drawn,
+            targets or {},
+        )
         for summary in calibration.sensors
     ]
     names = {s.sensor: s.name for s in calibration.sensors}
@@ -148,8 +184,10 @@ def render(
         unused=_unused(association),
         used=len(residuals),
         coarse=_coarse(association),
-        inputs=calibration.inputs,
-        settings=[(name, _plain(value)) for name, value in calibration.settings.items()],
+        inputs=[{"file": i, "role": "reference" if i.path in reference else "radar"} for i in calibration.inputs],
+        roles=bool(reference),
+        sites=_sites(calibration, sensors),
+        settings=[(name, _plain(value), _SETTINGS.get(name, "")) for name, value in calibration.settings.items()],
         span=_time_span(residuals.time_s),
         glossary=GLOSSARY,
         epochs=len(calibration.epoch_s),
@@ -222,15 +260,6 @@ def with_unit(text: str, unit: str) -> str:
     return f"{text}°" if unit == "deg" else f"{text}{_THIN}{unit}"
 
 
-def quantile95(clusters: int) -> float:
-    """Two-sided 95 % quantile of Student's t for estimates clustered by so many targets; 1.96 from 60 on."""
-    if clusters >= 60:
-        return 1.96
-    from scipy.special import stdtrit
-
-    return float(stdtrit(max(clusters - 1, 1), 0.975))
-
-
 @dataclass(frozen=True, slots=True)
 class Row:
     """One line of the table of terms; texts are ready to print."""
@@ -252,12 +281,13 @@ class Row:
 def rows_of(calibration: Calibration, summary: Summary, truth: Mapping[str, float]) -> list[Row]:
     """The terms of one sensor in the units people read, in the calibration's order; the newest epoch."""
     out = []
-    t = quantile95(max(summary.targets, 2))
+    interval = calibration.interval(0.95)[-1]
     for k, key in enumerate(calibration.terms):
         if key.sensor != summary.sensor:
             continue
         scale = TERMS[key.name].si_per_unit
         value, sd = float(calibration.value[-1, k]) / scale, float(calibration.sd[-1, k]) / scale
+        low, high = (float(v) / scale for v in interval[k])
         places = decimals(sd)
         true = truth.get(key.name, float("nan"))
         off = (value - true) / sd if sd > 0 else float("nan")
@@ -267,11 +297,11 @@ def rows_of(calibration: Calibration, summary: Summary, truth: Mapping[str, floa
                 channel="" if key.channel == "all" else key.channel,
                 value=number(value, places, sign=True),
                 sd=number(sd, places),
-                low=number(value - t * sd, places, sign=True),
-                high=number(value + t * sd, places, sign=True),
+                low=number(low, places, sign=True),
+                high=number(high, places, sign=True),
                 unit=unit_text(key.unit),
                 meaning=TERMS[key.name].meaning,
-                significant=bool(abs(value) > t * sd),
+                significant=bool(low > 0 or high < 0),
                 true=number(true, places, sign=True),
                 off=number(off, 1, sign=True),
                 far=bool(abs(off) > 3),
@@ -282,7 +312,7 @@ def rows_of(calibration: Calibration, summary: Summary, truth: Mapping[str, floa
 
 def verdict(calibration: Calibration, summary: Summary) -> tuple[str, str]:
     """What is wrong with a sensor, in a sentence; and a second one on what could not be told from zero (or "")."""
-    t = quantile95(max(summary.targets, 2))
+    interval = calibration.interval(0.95)[-1]
     wrong: list[tuple[float, str]] = []
     nothing: list[str] = []
     swing = np.zeros(2)
@@ -295,7 +325,7 @@ def verdict(calibration: Calibration, summary: Summary) -> tuple[str, str]:
         if not np.isfinite(value):
             continue
         on = "" if key.channel == "all" else f" ({key.channel.replace('_', ' ')})"
-        significant = abs(value) > t * sd
+        significant = bool(interval[k, 0] > 0 or interval[k, 1] < 0)
         if key.name in ("azimuth_cos", "azimuth_sin"):
             swing[int(key.name == "azimuth_sin")] = value
             significant_swing = significant_swing or significant
@@ -391,6 +421,32 @@ def _short(text: str, calibration: Calibration) -> str:
     return text
 
 
+def _source(key: int) -> str:
+    return f"SAC/SIC {key >> 8}/{key & 255}" if key < 65536 else f"id {key}"
+
+
+def _sites(calibration: Calibration, sensors: Sensors) -> list[dict[str, str]]:
+    """Where the sensors were taken to stand, and what was given of them."""
+    out = []
+    for summary in calibration.sensors:
+        s = sensors.find(summary.sensor)
+        if s is None:
+            continue
+        place = "not given"
+        if s.lat_deg is not None and s.lon_deg is not None:
+            place = f"{number(s.lat_deg, 6)}°, {number(s.lon_deg, 6)}°"
+        out.append({
+            "name": s.name,
+            "source": _source(summary.sensor),
+            "kind": _KINDS.get(s.kind, s.kind),
+            "position": place,
+            "height": number(math.nan if s.ellipsoidal_height_m is None else s.ellipsoidal_height_m, 1),
+            "scan": number(math.nan if s.scan_s is None else s.scan_s, 2),
+            "clock": number(s.time_offset_s, 3, sign=True),
+        })  # fmt: skip
+    return out
+
+
 def _plain(value: object) -> str:
     return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
 
@@ -420,17 +476,23 @@ def _coarse(association: Association | None) -> list[dict[str, str]]:
 
 
 def _section(
-    calibration: Calibration, summary: Summary, r: Residuals, sensors: Sensors, truth: Mapping[str, float], drawn: _Numbered
+    calibration: Calibration,
+    summary: Summary,
+    r: Residuals,
+    sensors: Sensors,
+    truth: Mapping[str, float],
+    drawn: _Numbered,
+    targets: Mapping[int, str],
 ) -> dict[str, Any]:
     """Everything that the template needs of one sensor."""
     slug = f"sensor-{summary.sensor}"
     chosen = r.take(draw.sample(len(r), draw.MAX_PAIRS)) if len(r) > draw.MAX_PAIRS else r
     makers: list[Callable[[str], draw.Drawing | None]] = [
         partial(draw.map_figure, chosen),
-        partial(draw.zoom_figure, r),  # a track must be whole
+        partial(draw.zoom_figure, r, targets=targets),  # a track must be whole
         partial(draw.curve_figure, chosen),
         partial(draw.residual_figure, chosen),
-        partial(draw.target_figure, chosen),
+        partial(draw.target_figure, chosen, targets=targets),
         partial(draw.histogram_figure, chosen),
     ]
     kinds = ("map", "tracks", "curve", "residuals", "targets", "histograms")
@@ -451,8 +513,8 @@ def _section(
     return {
         "anchor": slug,
         "name": summary.name,
-        "kind": sensor.kind.replace("_", " ") if sensor is not None else "",
-        "source": f"SAC/SIC {summary.sensor >> 8}/{summary.sensor & 255}" if summary.sensor < 65536 else f"id {summary.sensor}",
+        "kind": f"{_KINDS.get(sensor.kind, sensor.kind)}, " if sensor is not None else "",
+        "source": _source(summary.sensor),
         "verdict": first,
         "not_significant": second,
         "gain": gain_text(summary),
