@@ -211,7 +211,7 @@ def test_the_fit_is_weighted_least_squares(with_velocity: bool) -> None:
     velocity, speed_weight = rng.normal(0, 5, (n, 3)), rng.uniform(0.5, 3, n) * with_velocity
     scale = np.full(n, 0.7)
     found = alignment._fit(
-        time, position, weight, velocity, speed_weight, np.tile([0.0, 0, 1], (n, 1)), np.zeros(n, np.int64),
+        np.arange(n), time, position, weight, velocity, speed_weight, np.tile([0.0, 0, 1], (n, 1)), np.zeros(n, np.int64),
         np.full(n, n, np.int64), scale, np.array([3.0]), np.array([5], np.int64), 10.0, 240,
     )  # fmt: skip
     for i in range(n):

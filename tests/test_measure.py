@@ -237,3 +237,41 @@ def test_what_decides_the_height_of_a_plot() -> None:
     assert geodesy.geodetic_from_ecef(surface)[2][4] == pytest.approx(80, abs=1e-6)
     with pytest.raises(InputError, match="height_m"):
         measure.plot_positions(plots, sensors, np.zeros(2))
+
+
+def test_rates_that_are_not_asked_for_are_nan() -> None:
+    rng = np.random.default_rng(3)
+    enu, v, a = rng.normal(0, 1e4, (5, 3)), rng.normal(0, 100, (5, 3)), rng.normal(0, 5, (5, 3))
+    whole = measure.polar_motion(enu, v, a)
+    for order in range(3):
+        some = measure.polar_motion(enu, v, a, order=order)
+        for k in range(4):
+            if k <= order:
+                np.testing.assert_array_equal(some[k], whole[k])
+            else:
+                assert np.isnan(some[k]).all()
+
+
+def test_a_heading_about_the_antenna_is_the_direction_in_which_the_target_moves_there() -> None:
+    """A small step along the heading, from one geodetic position to the next, seen in the antenna's axes."""
+    rng = np.random.default_rng(4)
+    lat, lon = np.radians(rng.uniform(40, 50, 40)), np.radians(rng.uniform(8, 20, 40))
+    height, heading = rng.uniform(0, 11e3, 40), rng.uniform(0, 2 * np.pi, 40)
+    _, rotation = measure.site_of(Sensor(name="A", sac=1, sic=1, lat_deg=45.0, lon_deg=14.0, height_m=200.0))
+    here = geodesy.ecef_from_geodetic(lat, lon, height)
+    step = 1.0
+    # Radii of curvature of the ellipsoid, as any textbook has them.
+    w = 1 - geodesy.E2 * np.sin(lat) ** 2
+    meridian, normal = 6378137.0 * (1 - geodesy.E2) / w**1.5, 6378137.0 / np.sqrt(w)
+    there = geodesy.ecef_from_geodetic(
+        lat + step * np.cos(heading) / (meridian + height),
+        lon + step * np.sin(heading) / ((normal + height) * np.cos(lat)),
+        height,
+    )
+    moved = (there - here) @ rotation.T
+    seen = measure.heading_about(heading, here, rotation)
+    np.testing.assert_allclose(measure.wrap_rad(seen - np.arctan2(moved[:, 0], moved[:, 1])), 0.0, atol=1e-6)
+    # 90 km east at 45 degrees: the norths differ by 0.8 degrees, and the heading north leans to the west of the antenna's.
+    east = geodesy.ecef_from_geodetic(np.radians(45.0), np.radians(14.0 + 90e3 / 111.4e3 / np.cos(np.pi / 4)), 0.0)[None]
+    assert np.degrees(measure.wrap_rad(measure.heading_about(np.zeros(1), east, rotation)))[0] == pytest.approx(-0.81, abs=0.02)
+    assert np.isnan(measure.heading_about(np.array([np.nan]), east, rotation))[0]

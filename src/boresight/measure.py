@@ -19,6 +19,7 @@ TWO_PI = 2 * np.pi
 # Azimuth has no derivative over the antenna: closer to the axis than a millimetre its rates are those of a millimetre.
 _AXIS_M2 = 1e-6
 _NEWTON_M = 1e-7
+_SURE_M = 0.5
 _NEWTON_STEPS = 12
 
 
@@ -51,47 +52,60 @@ def enu_from_polar(polar: FloatArray) -> FloatArray:
 
 
 def polar_motion(
-    enu: FloatArray, velocity: FloatArray, acceleration: FloatArray, jerk: FloatArray | None = None
+    enu: FloatArray, velocity: FloatArray, acceleration: FloatArray, jerk: FloatArray | None = None, *, order: int = 3
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Slant range, azimuth and elevation, and their first, second and third rates, of a moving target.
 
     All arguments are (n, 3), local axes, SI; all four results (n, 3) with columns (range, azimuth, elevation).  The derivatives
-    are exact.  `jerk` only enters the third; without it the target's jerk is taken as zero.
+    are exact.  `jerk` only enters the third; without it the target's jerk is taken as zero.  Rates beyond the `order` (0 … 3)
+    are not computed, and NaN.
     """
     p, v, a = enu, velocity, acceleration
-    j = np.zeros_like(p) if jerk is None else jerk
     polar = polar_from_enu(p)
+    unknown = np.broadcast_to(np.nan, p.shape)
+    if order < 1:
+        return polar, unknown, unknown, unknown
     r = np.maximum(polar[:, 0], 1e-3)
 
     def dot(x: FloatArray, y: FloatArray) -> FloatArray:
         return np.asarray(np.einsum("ij,ij->i", x, y))
 
     r1 = dot(p, v) / r
-    r2 = (dot(v, v) + dot(p, a) - r1 * r1) / r
-    r3 = (3 * dot(v, a) + dot(p, j) - 3 * r1 * r2) / r
-
     # The angle of a plane vector (x up, y along) obeys angle' * s = c, with s its squared length and c the cross product;
     # differentiating that product gives the higher rates.
-    h, hv, ha, hj = p[:, :2], v[:, :2], a[:, :2], j[:, :2]
+    h, hv = p[:, :2], v[:, :2]
     s0 = np.maximum(dot(h, h), _AXIS_M2)
     s1 = 2 * dot(h, hv)
-    s2 = 2 * (dot(hv, hv) + dot(h, ha))
-    s3 = 2 * (3 * dot(hv, ha) + dot(h, hj))
     a1 = (p[:, 1] * v[:, 0] - p[:, 0] * v[:, 1]) / s0
-    a2 = (p[:, 1] * a[:, 0] - p[:, 0] * a[:, 1] - a1 * s1) / s0
-    c2 = v[:, 1] * a[:, 0] + p[:, 1] * j[:, 0] - v[:, 0] * a[:, 1] - p[:, 0] * j[:, 1]
-    a3 = (c2 - 2 * a2 * s1 - a1 * s2) / s0
-
     g = np.sqrt(s0)
     g1 = s1 / (2 * g)
-    g2 = (s2 / 2 - g1 * g1) / g
-    g3 = (s3 / 2 - 3 * g1 * g2) / g
-    u, u1, u2, u3 = p[:, 2], v[:, 2], a[:, 2], j[:, 2]
-    q0, q1, q2 = r * r, 2 * r * r1, 2 * (r1 * r1 + r * r2)
+    u, u1, q0 = p[:, 2], v[:, 2], r * r
     e1 = (g * u1 - u * g1) / q0
+    first = np.stack([r1, a1, e1], axis=1)
+    if order < 2:
+        return polar, first, unknown, unknown
+
+    r2 = (dot(v, v) + dot(p, a) - r1 * r1) / r
+    ha = a[:, :2]
+    s2 = 2 * (dot(hv, hv) + dot(h, ha))
+    a2 = (p[:, 1] * a[:, 0] - p[:, 0] * a[:, 1] - a1 * s1) / s0
+    g2 = (s2 / 2 - g1 * g1) / g
+    u2, q1 = a[:, 2], 2 * r * r1
     e2 = (g * u2 - u * g2 - e1 * q1) / q0
-    e3 = (g1 * u2 + g * u3 - u1 * g2 - u * g3 - 2 * e2 * q1 - e1 * q2) / q0
-    return polar, np.stack([r1, a1, e1], axis=1), np.stack([r2, a2, e2], axis=1), np.stack([r3, a3, e3], axis=1)
+    second = np.stack([r2, a2, e2], axis=1)
+    if order < 3:
+        return polar, first, second, unknown
+
+    j = np.zeros_like(p) if jerk is None else jerk
+    hj = j[:, :2]
+    r3 = (3 * dot(v, a) + dot(p, j) - 3 * r1 * r2) / r
+    s3 = 2 * (3 * dot(hv, ha) + dot(h, hj))
+    c2 = v[:, 1] * a[:, 0] + p[:, 1] * j[:, 0] - v[:, 0] * a[:, 1] - p[:, 0] * j[:, 1]
+    a3 = (c2 - 2 * a2 * s1 - a1 * s2) / s0
+    g3 = (s3 / 2 - 3 * g1 * g2) / g
+    q2 = 2 * (r1 * r1 + r * r2)
+    e3 = (g1 * u2 + g * j[:, 2] - u1 * g2 - u * g3 - 2 * e2 * q1 - e1 * q2) / q0
+    return polar, first, second, np.stack([r3, a3, e3], axis=1)
 
 
 def polar_jacobian(enu: FloatArray) -> FloatArray:
@@ -213,14 +227,37 @@ _ON_GROUND = ("surface", "marine")
 def true_azimuth(plots: Plots, sensors: Sensors) -> FloatArray:
     """The plots' azimuths from true north (n,), radians in [0, 2 pi): measured plus the sensor's `north_offset_deg`.
 
-    This is the only place where the north reference is applied.  Raises SettingsError as `sites` does.
+    Only here and in `from_true_north` is the north reference applied.  Raises SettingsError as `sites` does.
     """
     azimuth = wrap_turn(plots.azimuth_rad)
     for key, sensor in sensors_of(plots, sensors).items():
         if sensor.north_offset_deg != 0:
             rows = plots.sensor == key
-            azimuth[rows] = wrap_turn(plots.azimuth_rad[rows] + np.radians(sensor.north_offset_deg))
+            azimuth[rows] = from_true_north(plots.azimuth_rad[rows], sensor)
     return azimuth
+
+
+def from_true_north(azimuth_rad: FloatArray, sensor: Sensor) -> FloatArray:
+    """Azimuths (n,) that `sensor` measured, from true north, radians in [0, 2 pi)."""
+    return wrap_turn(azimuth_rad + np.radians(sensor.north_offset_deg))
+
+
+def heading_about(heading_rad: FloatArray, position: FloatArray, enu_from_ecef: FloatArray) -> FloatArray:
+    """Headings (n,), radians from true north where the targets are, as bearings from the antenna's north.
+
+    `position` (n, 3) is the targets', ECEF metres; `enu_from_ecef` is (3, 3) or (n, 3, 3).  The two norths differ by the
+    convergence of the meridians: 0.8 degrees at 90 km and 45 degrees of latitude, which is 0.3 m across for a displacement of
+    20 m.  NaN stays NaN.
+    """
+    _, plumb = height_and_up(position)
+    side = np.maximum(np.hypot(plumb[:, 0], plumb[:, 1]), 1e-12)
+    sin_h, cos_h = np.sin(heading_rad), np.cos(heading_rad)
+    ahead = np.empty_like(plumb)
+    ahead[:, 0] = (-sin_h * plumb[:, 1] - cos_h * plumb[:, 2] * plumb[:, 0]) / side
+    ahead[:, 1] = (sin_h * plumb[:, 0] - cos_h * plumb[:, 2] * plumb[:, 1]) / side
+    ahead[:, 2] = cos_h * side
+    local = rotate(enu_from_ecef, ahead)
+    return wrap_turn(np.arctan2(local[:, 0], local[:, 1]))
 
 
 def position_from_polar(polar: FloatArray, site: FloatArray, enu_from_ecef: FloatArray) -> FloatArray:
@@ -279,8 +316,13 @@ def position_from_height(
             ground, 1.0
         )
         moved = np.clip(u + missing / slope, -r[rows], r[rows])
+        # A step as short as this ends within the tolerance (what Newton's method leaves is its square over the earth's radius).
+        sure = ~done & (np.abs(missing) <= _SURE_M) & (ground > 0.1 * r[rows])
+        if sure.any():
+            mine, at = rows[sure], moved[sure]
+            out[mine] = origin[mine] + np.sqrt(r[mine] ** 2 - at * at)[:, None] * outward[mine] + at[:, None] * vertical[mine]
         # Straight above or below the antenna and still wanting to go on: no such point.
-        going = ~done & (moved != u)
+        going = ~done & ~sure & (moved != u)
         up[rows] = moved
         rows = rows[going]
     return out

@@ -7,7 +7,7 @@ Values are SI inside (metres, radians, seconds); `unit` and `si_per_unit` are fo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -25,7 +25,8 @@ class Geometry(NamedTuple):
     """Where the target truly is, as the radar sees it, and how that changes.
 
     `range_m`, `azimuth_rad`, `elevation_rad`, `time_s` (since the epoch), `heading_rad` and `length_m` are (n,); `rate`, `second`
-    and `third` are (n, 3): derivatives of (range, azimuth, elevation) in SI units.  Heading and length are NaN where unknown.
+    and `third` are (n, 3): derivatives of (range, azimuth, elevation) in SI units, NaN beyond the `order_of` the terms in use.
+    The heading is clockwise from the antenna's north (`measure.heading_about`).  Heading and length are NaN where unknown.
     """
 
     range_m: FloatArray
@@ -44,7 +45,8 @@ class Term:
     """One systematic error.
 
     `columns(geometry)` gives (n, 3): d(range m, azimuth rad, elevation rad) per SI unit of the value.  `prior_sd` is how large the
-    error may plausibly be (SI): it scales the column and gives the ridge.  `needs` names what must be known of the target.
+    error may plausibly be (SI): it scales the column and gives the ridge.  `needs` names what must be known of the target:
+    heading, length, elevation (measured), and which of its rates (rate, second, third).
     """
 
     name: str
@@ -139,6 +141,12 @@ MODELS: dict[str, tuple[str, ...]] = {
     "atc": ("range_bias", "range_gain", "azimuth_bias", "azimuth_cos", "azimuth_sin", "elevation_bias", "time_offset"),
     "surface": ("range_bias", "azimuth_bias", "time_offset", "along_heading_per_length"),
 }
+
+
+def order_of(terms: Iterable[Term]) -> int:
+    """The highest rate of the target's motion that the columns of these terms need, 0 … 3."""
+    needs = frozenset[str]().union(*(term.needs for term in terms))
+    return max((k for k, name in enumerate(("", "rate", "second", "third")) if name in needs), default=0)
 
 
 def terms_of(model: str | Sequence[str]) -> tuple[Term, ...]:

@@ -123,7 +123,9 @@ def geometry(sensor: Sensor, position: Callable, t: np.ndarray, length: float) -
     site, rotation = site_of(sensor)
     p, v, a = motion(position, t)
     polar, rate, second, third = polar_motion((p - site) @ rotation.T, v @ rotation.T, a @ rotation.T)
-    return Geometry(polar[:, 0], polar[:, 1], polar[:, 2], rate, second, third, heading(p, v), np.full(len(t), length), t)
+    # Seen from the antenna the target points where its velocity does, in the antenna's own axes.
+    bearing = np.arctan2(*(v @ rotation.T)[:, :2].T) % (2 * np.pi)
+    return Geometry(polar[:, 0], polar[:, 1], polar[:, 2], rate, second, third, bearing, np.full(len(t), length), t)
 
 
 def heading(p: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -204,7 +206,7 @@ def scene(
                         range_m=measured[:, 0],
                         azimuth_rad=measured[:, 1] % (2 * np.pi),
                         elevation_rad=measured[:, 2] if elevation else np.full(n, np.nan),
-                        heading_rad=place.heading_rad,
+                        heading_rad=heading(*motion(position, t)[:2]),
                         length_m=place.length_m,
                         track=np.full(n, g),
                     ),

@@ -9,17 +9,27 @@ reference knows them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
+from .._parallel import in_threads, slices
 from .._types import AnyArray, BoolArray, FloatArray, IntArray
-from ..calibration import Calibration
-from ..geodesy import enu_from_ecef, geodetic_from_ecef, rotate
-from ..measure import polar_from_enu, polar_motion, position_from_height, sites, true_azimuth, wrap_rad
-from ..model import Channel, Pairs, Sensors, _column, _float, _Table
+from ..calibration import Calibration, TermKey
+from ..geodesy import enu_from_ecef, geodetic_from_ecef, height_and_up, rotate
+from ..measure import (
+    from_true_north,
+    heading_about,
+    polar_from_enu,
+    polar_motion,
+    position_from_height,
+    sensors_of,
+    site_of,
+    wrap_rad,
+)
+from ..model import Channel, Pairs, Sensor, Sensors, _column, _float, _Table
 from ..registration.observe import fill_lengths
-from ..terms import TERMS, Geometry
+from ..terms import TERMS, Geometry, order_of
 
 _LEAST_SPEED_MPS = 1.0
 # Rows that are worked on at a time: large enough for NumPy, small enough for the processor's cache.
@@ -81,35 +91,64 @@ def residuals(pairs: Pairs, sensors: Sensors, calibration: Calibration) -> Resid
     nothing tells, it is 0 for that plot.  Raises SettingsError for a sensor without an entry or a position in `sensors`.
     """
     pairs = fill_lengths(pairs)
-    return Residuals.concat([_residuals(pairs[k : k + _CHUNK], sensors, calibration) for k in range(0, len(pairs), _CHUNK)])
+    # By sensor, so that each piece has one antenna; then back into the order of the pairs.
+    groups = [(s, np.flatnonzero(pairs.plots.sensor == key)) for key, s in sensors_of(pairs.plots, sensors).items()]
+    pieces = [(sensor, rows[part]) for sensor, rows in groups for part in slices(len(rows), _CHUNK)]
+    out = {f.name: np.empty(len(pairs), f.metadata["dtype"]) for f in fields(Residuals)}
+
+    def work(piece: tuple[Sensor, IntArray]) -> None:
+        sensor, rows = piece
+        for name, column in _residuals(pairs, rows, sensor, calibration).items():
+            out[name][rows] = column
+
+    in_threads(work, pieces)
+    return Residuals(**out)
 
 
-def _residuals(pairs: Pairs, sensors: Sensors, calibration: Calibration) -> Residuals:
+def _residuals(pairs: Pairs, rows: IntArray, sensor: Sensor, calibration: Calibration) -> dict[str, AnyArray]:
+    """The columns of `Residuals` for the pairs at `rows` (n,), all of `sensor`."""
     plots = pairs.plots
-    pairs = pairs.replace(velocity=np.nan_to_num(pairs.velocity), acceleration=np.nan_to_num(pairs.acceleration))
-    site, rotation = sites(plots, sensors)
-    measured = np.stack([plots.range_m, true_azimuth(plots, sensors), plots.elevation_rad], axis=1)
-    lat, lon, height = geodetic_from_ecef(pairs.position)
+    site, rotation = site_of(sensor)
+    reference = pairs.position[rows]
+    velocity, acceleration = np.nan_to_num(pairs.velocity[rows]), np.nan_to_num(pairs.acceleration[rows])
+    time, channel = plots.time_s[rows], plots.channel[rows]
+    azimuth = from_true_north(plots.azimuth_rad[rows], sensor)
+    measured = np.stack([plots.range_m[rows], azimuth, plots.elevation_rad[rows]], axis=1)
+    lat, lon, height = geodetic_from_ecef(reference)
     level = enu_from_ecef(lat, lon)
-    velocity = rotate(level, pairs.velocity)
-    speed = np.hypot(velocity[:, 0], velocity[:, 1])
-    course = np.where(speed >= _LEAST_SPEED_MPS, np.arctan2(velocity[:, 0], velocity[:, 1]) % (2 * np.pi), np.nan)
+    over_ground = rotate(level, velocity)
+    speed = np.hypot(over_ground[:, 0], over_ground[:, 1])
+    course = np.where(speed >= _LEAST_SPEED_MPS, np.arctan2(over_ground[:, 0], over_ground[:, 1]) % (2 * np.pi), np.nan)
 
-    late = _values(pairs, calibration, "time_offset")
-    moved = pairs.position - late[:, None] * pairs.velocity + 0.5 * late[:, None] ** 2 * pairs.acceleration
-    at_stamp = polar_from_enu(rotate(rotation, pairs.position - site))
-    error, at_true = _errors(pairs, calibration, rotate(rotation, moved - site), rotation, late)
-    corrected = measured - error
+    values = {k: np.where(_touches(key, channel), np.interp(time, calibration.epoch_s, calibration.value[:, k]), 0.0)
+              for k, key in enumerate(calibration.terms) if key.sensor == sensor.key}  # fmt: skip
+    late = sum((v for k, v in values.items() if calibration.terms[k].name == "time_offset"), np.zeros(len(rows)))
+    moved = reference - late[:, None] * velocity + 0.5 * late[:, None] ** 2 * acceleration
+    at_stamp = polar_from_enu(rotate(rotation, reference - site))
+    others = [(TERMS[calibration.terms[k].name], v) for k, v in values.items() if calibration.terms[k].name != "time_offset"]
+    at_true, rate, second, third = polar_motion(
+        rotate(rotation, moved - site),
+        rotate(rotation, velocity - late[:, None] * acceleration),
+        rotate(rotation, acceleration),
+        order=order_of([term for term, _ in others]),
+    )
+    place = Geometry(
+        at_true[:, 0], at_true[:, 1], at_true[:, 2], rate, second, third,
+        heading_about(pairs.heading_rad[rows], reference, rotation), pairs.length_m[rows], time - calibration.epoch_s[0],
+    )  # fmt: skip
+    corrected = measured.copy()
+    for term, value in others:
+        corrected -= term.columns(place) * value[:, None]
 
     columns: dict[str, AnyArray] = {}
     for when, polar, target, position in (
-        ("before", measured, at_stamp, pairs.position),
+        ("before", measured, at_stamp, reference),
         ("after", corrected, at_true, moved),
     ):
         columns[f"range_{when}_m"] = polar[:, 0] - target[:, 0]
         columns[f"azimuth_{when}_rad"] = wrap_rad(polar[:, 1] - target[:, 1])
         columns[f"elevation_{when}_rad"] = polar[:, 2] - target[:, 2]
-        own_height = height if when == "before" else geodetic_from_ecef(position)[2]
+        own_height = height if when == "before" else height_and_up(position)[0]
         lies = position_from_height(polar[:, 0], polar[:, 1], own_height, site, rotation)
         east, north, _ = rotate(level, lies - position).T
         columns[f"east_{when}_m"], columns[f"north_{when}_m"] = east, north
@@ -117,64 +156,27 @@ def _residuals(pairs: Pairs, sensors: Sensors, calibration: Calibration) -> Resi
         columns[f"across_{when}_m"] = east * np.cos(course) - north * np.sin(course)
         columns[f"distance_{when}_m"] = np.hypot(east, north)
         columns[f"latitude_{when}_rad"], columns[f"longitude_{when}_rad"], _ = geodetic_from_ecef(lies)
-    return Residuals(
-        time_s=plots.time_s,
-        sensor=plots.sensor,
-        channel=plots.channel,
-        target=pairs.target,
-        track=pairs.track,
-        plot=pairs.plot,
-        weight=pairs.weight,
-        reference_range_m=at_stamp[:, 0],
-        reference_azimuth_rad=at_stamp[:, 1],
-        reference_elevation_rad=at_stamp[:, 2],
-        reference_height_m=height,
-        reference_speed_mps=speed,
-        reference_course_rad=course,
-        latitude_rad=lat,
-        longitude_rad=lon,
-        **columns,
-    )
+    return columns | {
+        "time_s": time,
+        "sensor": plots.sensor[rows],
+        "channel": channel,
+        "target": pairs.target[rows],
+        "track": pairs.track[rows],
+        "plot": pairs.plot[rows],
+        "weight": pairs.weight[rows],
+        "reference_range_m": at_stamp[:, 0],
+        "reference_azimuth_rad": at_stamp[:, 1],
+        "reference_elevation_rad": at_stamp[:, 2],
+        "reference_height_m": height,
+        "reference_speed_mps": speed,
+        "reference_course_rad": course,
+        "latitude_rad": lat,
+        "longitude_rad": lon,
+    }
 
 
-def _touches(pairs: Pairs, sensor: int, channel: str) -> BoolArray:
-    """The pairs (n,) that a term of this sensor and channel applies to."""
-    rows: BoolArray = pairs.plots.sensor == sensor
-    if channel != "all":
-        wanted = [c.value for c in Channel if c.name.lower() == channel.lower()]
-        rows &= np.isin(pairs.plots.channel, wanted)
-    return rows
-
-
-def _values(pairs: Pairs, calibration: Calibration, name: str) -> FloatArray:
-    """The value (n,), SI, of the term `name` at each pair; 0 where the calibration has none."""
-    out = np.zeros(len(pairs))
-    for k, key in enumerate(calibration.terms):
-        if key.name == name:
-            rows = _touches(pairs, key.sensor, key.channel)
-            out[rows] += np.interp(pairs.plots.time_s[rows], calibration.epoch_s, calibration.value[:, k])
-    return out
-
-
-def _errors(
-    pairs: Pairs, calibration: Calibration, enu: FloatArray, rotation: FloatArray, late: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """The calibration's errors (n, 3) but for the time offset, and the polar position (n, 3), of targets at `enu` (n, 3)."""
-    acceleration = rotate(rotation, pairs.acceleration)
-    velocity = rotate(rotation, pairs.velocity) - late[:, None] * acceleration
-    polar, rate, second, third = polar_motion(enu, velocity, acceleration)
-    geometry = Geometry(
-        polar[:, 0], polar[:, 1], polar[:, 2], rate, second, third, pairs.heading_rad, pairs.length_m,
-        pairs.plots.time_s - calibration.epoch_s[0],
-    )  # fmt: skip
-    error = np.zeros((len(pairs), 3))
-    for k, key in enumerate(calibration.terms):
-        if key.name == "time_offset":
-            continue
-        rows = _touches(pairs, key.sensor, key.channel)
-        if not rows.any():
-            continue
-        own = geometry if rows.all() else Geometry(*(column[rows] for column in geometry))
-        value = np.interp(pairs.plots.time_s[rows], calibration.epoch_s, calibration.value[:, k])
-        error[rows] += TERMS[key.name].columns(own) * value[:, None]
-    return error, polar
+def _touches(key: TermKey, channel: AnyArray) -> BoolArray:
+    """Whether the term applies to plots of each channel (n,)."""
+    if key.channel == "all":
+        return np.ones(len(channel), bool)
+    return np.isin(channel, [c.value for c in Channel if c.name.lower() == key.channel.lower()])

@@ -7,7 +7,7 @@ One model of named terms over all channels of a sensor, linearised anew with the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -15,12 +15,13 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from .._parallel import in_threads, slices
 from .._types import BoolArray, FloatArray, IntArray
 from ..errors import NothingToDo, SettingsError
 from ..model import Sensor
 from ..terms import DEG, TERMS, Term
 from . import mixed
-from .observe import Observed, chunks, distances, linearise
+from .observe import CHUNK, Observed, distances, linearise, look, take
 
 GROUND_KINDS = ("surface", "marine")
 # Which term of an inseparable pair stays: the earlier one (METHODS section 6: range, azimuth, time, extent).
@@ -29,9 +30,10 @@ _ORDER = (
     "time_offset", "along_heading_per_length", "along_heading", "site_east", "site_north", "site_up",
 )  # fmt: skip
 _EXTENT = ("along_heading", "along_heading_per_length")
-# Plots that the robust start is found on, and short blocks that the variance components are estimated on.
+# Plots that the robust start is found on; short blocks and plots that the variance components are estimated on.
 _START_PLOTS = 60_000
 _VARIANCE_BLOCKS = 1_500
+_VARIANCE_PLOTS = 120_000
 _BATCH_BLOCKS = 2_000
 _FOLDS = 5
 
@@ -189,6 +191,11 @@ class _Layout:
     channels: int
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """The terms whose columns the effects have, each once."""
+        return tuple(dict.fromkeys(e.term for level in self.effects for e in level))
+
+    @property
     def groups(self) -> tuple[IntArray, ...]:
         return tuple(np.array([e.group for e in level], np.int64) for level in self.effects)
 
@@ -220,11 +227,12 @@ def fit(seen: Observed, terms: Sequence[Term], settings: LeastSquares) -> Fit:
     kind = _kind(seen)
     layout = _layout(seen, kind, settings)
     chosen, dropped = tuple(terms), []
-    start = _robust_start(seen, layout, kind, chosen, settings)
+    sample, some = _sample(seen), _some_targets(seen, layout)
+    start = _robust_start(sample, some[0], layout, kind, chosen, settings)
     while True:
-        bad = _rank_deficient(seen, layout, chosen, start, settings)
+        bad = _rank_deficient(sample, layout, chosen, start, settings)
         if bad is None:
-            state, reduced, weight = _iterate(seen, layout, kind, chosen, start, settings)
+            state, reduced, weight = _iterate(seen, layout, some, kind, chosen, start, settings)
             bad = _inseparable(reduced.terms, chosen, settings)
         if bad is None:
             break
@@ -233,7 +241,7 @@ def fit(seen: Observed, terms: Sequence[Term], settings: LeastSquares) -> Fit:
         chosen = tuple(chosen[k] for k in keep)
         if not chosen:
             raise NothingToDo(f"sensor {seen.sensor.name!r}: no error can be determined: {bad.why}")
-        start = _robust_start(seen, layout, kind, chosen, settings)
+        start = _robust_start(sample, some[0], layout, kind, chosen, settings)
     return _finish(seen, layout, chosen, start, state, reduced, weight, dropped, settings)
 
 
@@ -294,27 +302,32 @@ def _robust(u: FloatArray, settings: LeastSquares) -> FloatArray:
 
 
 def _row_variance(
-    seen: Observed, rows: slice | IntArray, z: Sequence[FloatArray], layout: _Layout, variances: mixed.Variances, share: float
+    seen: Observed,
+    rows: slice | IntArray,
+    columns: Mapping[str, FloatArray],
+    layout: _Layout,
+    variances: mixed.Variances,
+    share: float,
 ) -> FloatArray:
-    """What one plot's residuals (n, channels) vary by, all effects included."""
+    """What one plot's residuals (n, channels) vary by, all effects included; `columns` (n, 3) by the term."""
     k = layout.channels
+    by_term = dict.fromkeys(layout.names, 0.0)
+    for level, variance in zip(layout.effects, variances.effects, strict=True):
+        for e in level:
+            by_term[e.term] += float(variance[e.group])
     total = variances.noise[:k] / seen.weight[rows, None] + share * seen.reference_variance[rows, :k]
-    for columns, level, variance in zip(z, layout.effects, variances.effects, strict=True):
-        d = variance[np.array([e.group for e in level], np.int64)]
-        total = total + (columns[:, :k, :] ** 2) @ d
+    for term, variance_of_term in by_term.items():
+        total += variance_of_term * columns[term][:, :k] ** 2
     return np.asarray(total)
 
 
-def _effect_columns(layout: _Layout, place: object) -> list[FloatArray]:
-    """The random columns (n, 3, w) of each level."""
-    cache: dict[str, FloatArray] = {}
-    out = []
-    for level in layout.effects:
-        for e in level:
-            if e.term not in cache:
-                cache[e.term] = TERMS[e.term].columns(place)  # type: ignore[arg-type]
-        out.append(np.stack([cache[e.term] for e in level], axis=2))
-    return out
+def _effect_terms(layout: _Layout) -> tuple[Term, ...]:
+    return tuple(TERMS[name] for name in layout.names)
+
+
+def _sample(seen: Observed) -> Observed:
+    """Every so many-th row: enough to start from."""
+    return seen if len(seen) <= _START_PLOTS else take(seen, np.arange(0, len(seen), -(-len(seen) // _START_PLOTS)))
 
 
 def _row_weights(u: FloatArray, present: BoolArray, settings: LeastSquares, *, convex: bool) -> FloatArray:
@@ -329,44 +342,47 @@ def _row_weights(u: FloatArray, present: BoolArray, settings: LeastSquares, *, c
     return np.where(present, weight, 0.0)
 
 
-def _robust_start(seen: Observed, layout: _Layout, kind: _Kind, terms: tuple[Term, ...], settings: LeastSquares) -> _State:
+def _robust_start(
+    sample: Observed, whole: Observed, layout: _Layout, kind: _Kind, terms: tuple[Term, ...], settings: LeastSquares
+) -> _State:
     """A first solution that gross errors do not reach: plain least squares, first with Huber's convex loss, then redescending.
 
-    The effects only widen each plot's variance here.  The scale of the residuals is their median's.
+    `sample` are some of the rows, `whole` some of the targets with all their rows.  The effects only widen each plot's variance
+    here.  The scale of the residuals is their median's.
     """
-    n, p, c = len(seen), len(terms), layout.channels
-    rows = np.arange(n) if n <= _START_PLOTS else np.arange(0, n, n // _START_PLOTS)
+    p, c = len(terms), layout.channels
     variances = mixed.Variances(np.array(kind.noise[:c]) ** 2, layout.guess)
     prior_sd = np.array([t.prior_sd for t in terms])
     value, spread = np.zeros(p), np.ones(c)
     late = 0
+
+    def piece(part: slice) -> tuple[FloatArray, BoolArray, FloatArray]:
+        _, r, columns = look(sample, part, terms, value, _effect_terms(layout))
+        s = np.sqrt(_row_variance(sample, part, columns, layout, variances, 1.0))
+        present = np.isfinite(r[:, :c])
+        x = np.stack([columns[t.name][:, :c] * t.prior_sd for t in terms], axis=2) / s[:, :, None]
+        return np.where(present, r[:, :c], 0.0) / s, present, x
+
     for number in range(settings.max_iterations):
-        a, b, sizes = np.diag(np.ones(p)), -value / prior_sd, [[] for _ in range(c)]  # type: ignore[var-annotated]
-        pieces = []
-        for part in chunks(len(rows)):
-            place, r, x = linearise(seen, rows[part], terms, value)
-            s = np.sqrt(_row_variance(seen, rows[part], _effect_columns(layout, place), layout, variances, 1.0))
-            present = np.isfinite(r[:, :c])
-            u = np.where(present, r[:, :c], 0.0) / s
-            for k in range(c):
-                sizes[k].append(np.abs(u[present[:, k], k]))
-            pieces.append((u, present, x[:, :c] * prior_sd, s))
-        spread = np.array([1.4826 * np.median(np.concatenate(q)) if sum(map(len, q)) else 1.0 for q in sizes])
+        a, b = np.diag(np.ones(p)), -value / prior_sd
+        pieces = in_threads(piece, slices(len(sample), CHUNK // 2))
+        sizes = [np.concatenate([np.abs(u[present[:, k], k]) for u, present, _ in pieces]) for k in range(c)]
+        spread = np.array([1.4826 * np.median(q) if len(q) else 1.0 for q in sizes])
         spread = np.maximum(spread, 1e-3)
         convex = number < 6 or late == 0
-        for u, present, x, s in pieces:
-            w = _row_weights(u / spread, present, settings, convex=convex)
-            xs = x / s[:, :, None]
-            inv = w / spread**2
-            a += np.einsum("nki,nk,nkj->ij", xs, inv, xs, optimize=True)
-            b += np.einsum("nki,nk->i", xs, inv * u)
+        for u, present, x in pieces:
+            w = _row_weights(u / spread, present, settings, convex=convex) / spread**2
+            for k in range(c):
+                weighted = x[:, k] * w[:, k, None]
+                a += weighted.T @ x[:, k]
+                b += weighted.T @ u[:, k]
         step = np.linalg.solve(a, b)
         value = value + step * prior_sd
         done = bool(np.all(np.abs(step) <= 0.02 / np.sqrt(np.diag(a)) + 1e-9))
         late = late + 1 if done or number >= 10 else late
         if done and not convex:
             break
-    return _State(value, variances, _reference_share(seen, terms, value), spread, np.ones(len(layout.target)))
+    return _State(value, variances, _reference_share(whole, terms, value), spread, np.ones(len(layout.target)))
 
 
 def _reference_share(seen: Observed, terms: tuple[Term, ...], value: FloatArray) -> float:
@@ -376,12 +392,11 @@ def _reference_share(seen: Observed, terms: tuple[Term, ...], value: FloatArray)
     the radar.  The squared differences of successive residuals tell: they are regressed on the stated variance, with 1 as the
     guess where the data say little.
     """
-    rows = np.arange(min(len(seen), _START_PLOTS))
-    if len(rows) < 3:
+    if len(seen) < 3:
         return 1.0
-    pairs = np.flatnonzero((np.diff(seen.cluster[rows]) == 0) & (np.diff(seen.time_s[rows]) > 0))
-    _, r, _ = linearise(seen, rows, terms, value)
-    stated = seen.reference_variance[rows]
+    pairs = np.flatnonzero((np.diff(seen.cluster) == 0) & (np.diff(seen.time_s) > 0))
+    r = np.concatenate([linearise(seen, part, terms, value)[1] for part in slices(len(seen), CHUNK)])
+    stated = seen.reference_variance
     top, bottom, limit = 0.0, 0.0, 1.0
     for k in range(2):
         y = (r[pairs, k] - r[pairs + 1, k]) ** 2 / 2
@@ -405,79 +420,106 @@ def _reference_share(seen: Observed, terms: tuple[Term, ...], value: FloatArray)
     return float(np.clip(share, 0.0, limit))
 
 
+class _Piece(NamedTuple):
+    """Whole short blocks (from … to) and their rows: residuals (n, channels), columns (n, 3), the variance of each plot."""
+
+    blocks: tuple[int, int]
+    rows: slice
+    residual: FloatArray
+    columns: Mapping[str, FloatArray]
+    variance: FloatArray
+
+
+def _blocks(layout: _Layout, targets: tuple[int, int]) -> list[tuple[int, int]]:
+    """The short blocks of the targets from … to, in ranges of about half a chunk of rows."""
+    begin, end = int(layout.target_block[targets[0]]), int(layout.target_block[targets[1]])
+    piece = layout.block[begin:end] // (CHUNK // 2)
+    return list(pairwise([begin, *(np.flatnonzero(np.diff(piece) != 0) + begin + 1).tolist(), end]))
+
+
+def _look_at(seen: Observed, layout: _Layout, terms: tuple[Term, ...], state: _State, blocks: tuple[int, int]) -> _Piece:
+    rows = slice(int(layout.block[blocks[0]]), int(layout.block[blocks[1]]))
+    _, r, columns = look(seen, rows, terms, state.value, _effect_terms(layout))
+    variance = _row_variance(seen, rows, columns, layout, state.variances, state.reference_share)
+    return _Piece(blocks, rows, r[:, : layout.channels], columns, variance)
+
+
+def _grams(columns: Sequence[FloatArray], weight: FloatArray, starts: IntArray) -> FloatArray:
+    """``C' diag(w) C`` (blocks, u, u) of u columns (n,) over the blocks of rows that begin at `starts` (blocks,)."""
+    u = len(columns)
+    out = np.zeros((len(starts), u, u))
+    for i in range(u):
+        left = weight * columns[i]
+        # Many columns are nothing in one of the channels.
+        if left.any():
+            for j in range(i, u):
+                out[:, i, j] = out[:, j, i] = np.add.reduceat(left * columns[j], starts)
+    return out
+
+
 def _products(
     seen: Observed,
     layout: _Layout,
     terms: tuple[Term, ...],
     state: _State,
     settings: LeastSquares,
-    targets: IntArray,
+    targets: tuple[int, int],
+    pieces: Iterable[_Piece],
     weight_out: FloatArray | None = None,
     *,
     plain: mixed.Variances | None = None,
-) -> mixed.Products:
-    """The cross products of the given targets (sorted), at the state's value and with its weights.
+) -> tuple[mixed.Products, FloatArray]:
+    """The cross products of the targets from … to, made of their `pieces`, at the state's value and with its weights.
 
-    With `plain`, the true variances, each plot is weighted by what the state says that it varies by, its effects included, and
-    the columns Y follow (`mixed.plain_scores`).
+    With `plain`, the true variances, each plot is weighted by what the state says that it varies by, its effects included; then
+    what the noise adds to the meat (blocks, p, p) follows, for `mixed.plain_scores`.
     """
     p, c = len(terms), layout.channels
+    effects = [e.term for level in layout.effects for e in level]
+    wanted = [*effects, *(t.name for t in terms)]
+    # The levels share most of their columns: each is multiplied once.
+    names = list(dict.fromkeys(wanted))
+    index = np.array([*(names.index(name) for name in wanted), len(names)])
+    own_x = index[len(effects) : -1]
     prior_sd = np.array([t.prior_sd for t in terms])
-    widths = [len(level) for level in layout.effects]
-    width = sum(widths) + p + 1 + (0 if plain is None else p)
-    blocks = np.concatenate([np.arange(layout.target_block[g], layout.target_block[g + 1]) for g in targets])
-    out = np.zeros((c, len(blocks), width, width))
+    scale = np.r_[np.ones(len(effects)), prior_sd, 1.0]
+    begin, end = int(layout.target_block[targets[0]]), int(layout.target_block[targets[1]])
+    out = np.empty((c, end - begin, len(index), len(index)))
+    meat = np.zeros((end - begin, p, p))
     count = np.zeros(c)
-    # Whole blocks at a time, about a chunk of rows.
-    size = layout.block[blocks + 1] - layout.block[blocks]
-    piece = np.cumsum(size) // (1 << 14)
-    edges = np.r_[np.flatnonzero(np.r_[True, np.diff(piece) != 0]), len(blocks)]
-    for lo, hi in pairwise(edges.tolist()):
-        rows = np.concatenate([np.arange(layout.block[b], layout.block[b + 1]) for b in blocks[lo:hi]])
-        place, r, x = linearise(seen, rows, terms, state.value)
-        z = _effect_columns(layout, place)
-        total = _row_variance(seen, rows, z, layout, state.variances, state.reference_share)
-        present = np.isfinite(r[:, :c])
-        r = np.where(np.isfinite(r), r, 0.0)
-        robust = _row_weights(r[:, :c] / (np.sqrt(total) * state.spread), present, settings, convex=False)
+    for piece in pieces:
+        lo, hi = piece.blocks
+        starts = layout.block[lo:hi] - layout.block[lo]
+        present = np.isfinite(piece.residual)
+        r = np.where(present, piece.residual, 0.0)
+        robust = _row_weights(r / (np.sqrt(piece.variance) * state.spread), present, settings, convex=False)
         count += robust.sum(axis=0)
         if weight_out is not None:
-            weight_out[rows] = robust[:, 0]
+            weight_out[piece.rows] = robust[:, 0]
         noise = (state.variances if plain is None else plain).noise[:c]
-        own = noise / seen.weight[rows, None] + state.reference_share * seen.reference_variance[rows, :c]
-        trust = np.sqrt(state.trust[seen.cluster[rows]])
-        m = np.concatenate([*z, x * prior_sd * trust[:, None, None], (r * trust[:, None])[:, :, None]], axis=2)
-        if plain is not None:
-            w = robust / total
-            y = np.zeros((len(rows), 3, p))
-            y[:, :c] = x[:, :c] * prior_sd * np.sqrt(w * own)[:, :, None]
-            m = np.concatenate([m, y], axis=2)
-        else:
-            w = robust * noise / own
-        root = np.sqrt(w)
-        ends = np.cumsum(size[lo:hi])
+        own = noise / seen.weight[piece.rows, None] + state.reference_share * seen.reference_variance[piece.rows, :c]
+        w = robust * noise / own if plain is None else robust / piece.variance
+        # What belongs to a whole target scales its terms and residuals, not its effects.
+        target = np.searchsorted(layout.target_block, np.arange(lo, hi), side="right") - 1
+        factor = np.broadcast_to(scale, (hi - lo, len(scale))).copy()
+        factor[:, len(effects) :] *= np.sqrt(state.trust[target])[:, None]
         for k in range(c):
-            mk = np.ascontiguousarray(m[:, k] * root[:, k, None])
-            begin = 0
-            for b, end in enumerate(ends):
-                part = mk[begin:end]
-                out[k, lo + b] = part.T @ part
-                begin = end
-    long = np.concatenate(
-        [
-            layout.long[layout.target[g] : (layout.target[g + 1] if g + 1 < len(layout.target) else len(layout.long))]
-            for g in targets
-        ]
-    )
-    first_block = np.searchsorted(blocks, layout.target_block[targets])
-    first_long = np.searchsorted(blocks, long)
+            columns = [np.ascontiguousarray(piece.columns[name][:, k]) for name in names]
+            gram = _grams([*columns, r[:, k]], w[:, k], starts)
+            mine = out[k, lo - begin : hi - begin]
+            np.multiply(gram[:, index[:, None], index], factor[:, :, None], out=mine)
+            mine *= factor[:, None, :]
+            if plain is not None:
+                added = _grams(columns, w[:, k] ** 2 * own[:, k], starts)
+                meat[lo - begin : hi - begin] += added[:, own_x[:, None], own_x] * np.outer(prior_sd, prior_sd)
+    first_long, last_long = np.searchsorted(layout.long, [begin, end])
     groups = layout.groups
     levels = (
-        mixed.Level(groups[0], np.arange(len(blocks))),
-        mixed.Level(groups[1], first_long),
-        mixed.Level(groups[2], np.searchsorted(first_long, first_block)),
+        mixed.Level(groups[0], np.arange(end - begin)),
+        mixed.Level(groups[1], layout.long[first_long:last_long] - begin),
+        mixed.Level(groups[2], layout.target[targets[0] : targets[1]] - first_long),
     )
-    return mixed.Products(out, np.maximum(count, 1e-9), levels, p)
+    return mixed.Products(out, np.maximum(count, 1e-9), levels, p), meat
 
 
 def _batches(layout: _Layout) -> list[tuple[int, int]]:
@@ -491,30 +533,71 @@ def _all_reduced(
     seen: Observed, layout: _Layout, terms: tuple[Term, ...], state: _State, settings: LeastSquares, weight: FloatArray
 ) -> mixed.Reduced:
     """Every target, reduced, in batches that bound the memory."""
-    parts = [
-        mixed.reduce(_products(seen, layout, terms, state, settings, np.arange(lo, hi), weight), state.variances)
-        for lo, hi in _batches(layout)
-    ]
+
+    def batch(targets: tuple[int, int]) -> mixed.Reduced:
+        pieces = (_look_at(seen, layout, terms, state, blocks) for blocks in _blocks(layout, targets))
+        products, _ = _products(seen, layout, terms, state, settings, targets, pieces, weight)
+        return mixed.reduce(products, state.variances)
+
+    parts = in_threads(batch, _batches(layout))
     return mixed.Reduced(np.concatenate([q.terms for q in parts]), np.concatenate([q.effects for q in parts]))
 
 
+def _some_targets(seen: Observed, layout: _Layout) -> tuple[Observed, _Layout, IntArray]:
+    """Targets enough for the variance components, evenly chosen, with all their rows; and which they are."""
+    g, blocks = len(layout.target), len(layout.block) - 1
+    every = int(np.ceil(max(blocks / _VARIANCE_BLOCKS, len(seen) / _VARIANCE_PLOTS)))
+    which = np.arange(0, g, every)
+    if every <= 1:
+        return seen, layout, which
+
+    def members(first: IntArray, counts: IntArray) -> IntArray:
+        """The numbers first, first + 1, … of each group, one group behind the other."""
+        return np.asarray(np.arange(int(counts.sum())) + np.repeat(first - np.r_[0, np.cumsum(counts)[:-1]], counts), np.int64)
+
+    long_count = np.diff(np.r_[layout.target, len(layout.long)])[which]
+    longs = members(layout.target[which], long_count)
+    block_count = np.diff(np.r_[layout.long, blocks])[longs]
+    numbers = members(layout.long[longs], block_count)
+    sizes = np.diff(layout.block)[numbers]
+    mine = take(seen, members(layout.block[numbers], sizes))
+    first_block = np.r_[0, np.cumsum(block_count)]
+    first_long = np.r_[0, np.cumsum(long_count)]
+    return (
+        replace(mine, cluster=np.searchsorted(which, mine.cluster), cluster_key=seen.cluster_key[which]),
+        replace(
+            layout, block=np.r_[0, np.cumsum(sizes)], long=first_block[:-1], target=first_long[:-1],
+            target_block=first_block[first_long],
+        ),
+        which,
+    )  # fmt: skip
+
+
 def _iterate(
-    seen: Observed, layout: _Layout, kind: _Kind, terms: tuple[Term, ...], start: _State, settings: LeastSquares
+    seen: Observed,
+    layout: _Layout,
+    some: tuple[Observed, _Layout, IntArray],
+    kind: _Kind,
+    terms: tuple[Term, ...],
+    start: _State,
+    settings: LeastSquares,
 ) -> tuple[_State, mixed.Reduced, FloatArray]:
-    """Variance components, weights and values in turn, until the values rest; also the targets there, and each pair's weight."""
+    """Variance components, weights and values in turn, until the values rest; also the targets there, and each pair's weight.
+
+    `some` targets are enough for the components; all of them make the result.
+    """
     p, c = len(terms), layout.channels
     prior, prior_sd = np.ones(p), np.array([t.prior_sd for t in terms])
     guess = mixed.Variances(np.array(kind.noise[:c]) ** 2, layout.guess)
-    state = start
-    total_blocks = len(layout.block) - 1
-    g = len(layout.target)
-    subset = np.arange(g)
-    if total_blocks > _VARIANCE_BLOCKS:
-        subset = np.arange(0, g, int(np.ceil(total_blocks / _VARIANCE_BLOCKS)))
+    part, part_layout, which = some
+    every = (0, len(which))
+    state = replace(start, trust=np.ones(len(which)))
     for number in range(10):
-        at, products_noise = state.value / prior_sd, state.variances.noise
-        state = replace(state, spread=_spread(seen, layout, terms, state))
-        products = _products(seen, layout, terms, state, settings, subset)
+        at, noise_before = state.value / prior_sd, state.variances.noise
+        here = state
+        pieces = in_threads(lambda blocks: _look_at(part, part_layout, terms, here, blocks), _blocks(part_layout, every))  # noqa: B023
+        state = replace(state, spread=_spread(pieces))
+        products, _ = _products(part, part_layout, terms, state, settings, every, pieces)
         variances = mixed.estimate(products, state.variances, prior, at, guess, steps=30 if number == 0 else 8)
         reduced = mixed.reduce(products, variances)
         solution = mixed.solve(reduced.terms, prior, at)
@@ -523,16 +606,19 @@ def _iterate(
             variances,
             state.reference_share,
             state.spread,
-            _trust(reduced, solution, state.trust, subset, settings),
+            _trust(reduced, solution, state.trust, settings),
         )
-        settled = np.all(np.abs(variances.noise / products_noise - 1) <= 0.02)
+        settled = np.all(np.abs(variances.noise / noise_before - 1) <= 0.02)
         if number >= 2 and settled and np.all(np.abs(solution.value) <= 0.02 * np.sqrt(np.diag(solution.covariance))):
             break
+    trust = np.ones(len(layout.target))
+    trust[which] = state.trust
+    state = replace(state, trust=trust)
     weight = np.empty(len(seen))
     reduced = _all_reduced(seen, layout, terms, state, settings, weight)
-    if len(subset) < g:
+    if len(which) < len(trust):
         # The others' trust was not known yet; it scales what they say.
-        trust = _trust(reduced, mixed.solve(reduced.terms, prior, state.value / prior_sd), state.trust, np.arange(g), settings)
+        trust = _trust(reduced, mixed.solve(reduced.terms, prior, state.value / prior_sd), state.trust, settings)
         more, w = trust / state.trust, reduced.effects.shape[1]
         effects = reduced.effects.copy()
         effects[:, :, w:] *= np.sqrt(more)[:, None, None]
@@ -541,31 +627,22 @@ def _iterate(
     return state, reduced, weight
 
 
-def _spread(seen: Observed, layout: _Layout, terms: tuple[Term, ...], state: _State) -> FloatArray:
+def _spread(pieces: Sequence[_Piece]) -> FloatArray:
     """The median size of each channel's residuals, in units of what the model expects of one plot (1 if it were normal).
 
     Whole segments of a target can be wrong (multilateration near a hangar).  They widen the variance components, and would
     then look ordinary; the median does not follow them.
     """
-    n, c = len(seen), layout.channels
-    rows = np.arange(n) if n <= _START_PLOTS else np.arange(0, n, n // _START_PLOTS)
-    sizes = []
-    for part in chunks(len(rows)):
-        place, r, _ = linearise(seen, rows[part], terms, state.value)
-        total = _row_variance(seen, rows[part], _effect_columns(layout, place), layout, state.variances, state.reference_share)
-        sizes.append(np.abs(r[:, :c]) / np.sqrt(total))
-    size = np.concatenate(sizes)
+    size = np.concatenate([np.abs(q.residual) / np.sqrt(q.variance) for q in pieces])
     out = np.array([1.4826 * np.median(s[np.isfinite(s)]) if np.isfinite(s).any() else 1.0 for s in size.T])
     return np.asarray(np.maximum(out, 0.25))
 
 
-def _trust(
-    reduced: mixed.Reduced, solution: mixed.Solution, old: FloatArray, targets: IntArray, settings: LeastSquares
-) -> FloatArray:
+def _trust(reduced: mixed.Reduced, solution: mixed.Solution, old: FloatArray, settings: LeastSquares) -> FloatArray:
     """The weight (G,) of each target: one whose own effects are far from what the others have (a wrong pairing, a broken
     transponder) loses it.  With fewer than 8 targets there are no others to tell by."""
     w = reduced.effects.shape[1]
-    if len(targets) < 8:
+    if len(old) < 8:
         return old
     p = len(solution.value)
     inner = reduced.effects[:, :, :w]
@@ -575,28 +652,27 @@ def _trust(
     rank = np.maximum(np.linalg.matrix_rank(inner / scale[:, :, None] / scale[:, None, :], tol=1e-6, hermitian=True), 1)
     score = score / scale
     # The score was made with the square root of the old trust on its residual.
-    square = np.einsum("gi,gij,gj->g", score, inverse, score) / np.maximum(old[targets], 1e-12)
+    square = np.einsum("gi,gij,gj->g", score, inverse, score) / np.maximum(old, 1e-12)
     # Chi-squared to normal (Wilson and Hilferty 1931).
     normal = ((square / rank) ** (1 / 3) - (1 - 2 / (9 * rank))) / np.sqrt(2 / (9 * rank))
-    new = old.copy()
-    new[targets] = np.maximum(_robust(np.maximum(normal, 0.0), settings), 1e-6)
-    return new
+    return np.maximum(_robust(np.maximum(normal, 0.0), settings), 1e-6)
 
 
 def _rank_deficient(
-    seen: Observed, layout: _Layout, terms: tuple[Term, ...], state: _State, settings: LeastSquares
+    sample: Observed, layout: _Layout, terms: tuple[Term, ...], state: _State, settings: LeastSquares
 ) -> Dropped | None:
     """The last term, in the order of `_ORDER`, of whose column too little remains once the earlier ones are taken out of it."""
-    n, p, c = len(seen), len(terms), layout.channels
-    rows = np.arange(n) if n <= _START_PLOTS else np.arange(0, n, n // _START_PLOTS)
+    p, c = len(terms), layout.channels
     gram = np.zeros((p, p))
-    for part in chunks(len(rows)):
-        place, r, x = linearise(seen, rows[part], terms, state.value)
-        total = _row_variance(seen, rows[part], _effect_columns(layout, place), layout, state.variances, 1.0)
+    for part in slices(len(sample), CHUNK):
+        _, r, columns = look(sample, part, terms, state.value, _effect_terms(layout))
+        total = _row_variance(sample, part, columns, layout, state.variances, 1.0)
         present = np.isfinite(r[:, :c])
         u = np.where(present, r[:, :c], 0.0) / np.sqrt(total)
-        w = _row_weights(u / state.spread, present, settings, convex=False) / total
-        gram += np.einsum("nki,nk,nkj->ij", x[:, :c], w / state.spread**2, x[:, :c], optimize=True)
+        w = _row_weights(u / state.spread, present, settings, convex=False) / total / state.spread**2
+        for k in range(c):
+            x = np.stack([columns[t.name][:, k] for t in terms], axis=1)
+            gram += (x * w[:, k, None]).T @ x
     bad = rank_check(gram, terms, settings)
     if bad is not None:
         return bad
@@ -776,12 +852,15 @@ def _plain(
     weight: FloatArray,
 ) -> tuple[mixed.Scores, FloatArray]:
     """The scores (G targets) of least squares in which every plot counts for itself, at the robust start, and their influence."""
-    parts, influences = [], []
-    for lo, hi in _batches(layout):
-        products = _products(seen, layout, terms, start, settings, np.arange(lo, hi), weight, plain=variances)
-        parts.append(mixed.plain_scores(products, variances))
-        influences.append(mixed.influence(products))
-    return mixed.Scores(*(np.concatenate(q) for q in zip(*parts, strict=True))), np.concatenate(influences)
+
+    def batch(targets: tuple[int, int]) -> tuple[mixed.Scores, FloatArray]:
+        pieces = (_look_at(seen, layout, terms, start, blocks) for blocks in _blocks(layout, targets))
+        products, meat = _products(seen, layout, terms, start, settings, targets, pieces, weight, plain=variances)
+        return mixed.plain_scores(products, meat, variances), mixed.influence(products)
+
+    parts = in_threads(batch, _batches(layout))
+    scores = mixed.Scores(*(np.concatenate(q) for q in zip(*(part[0] for part in parts), strict=True)))
+    return scores, np.concatenate([part[1] for part in parts])
 
 
 def _agreement(difference: FloatArray, plain: mixed.Honest, weighted: mixed.Honest, pulls: FloatArray) -> float:
@@ -831,15 +910,22 @@ def accuracy(seen: Observed, fitted: Fit) -> tuple[FloatArray, FloatArray, Float
     before, after, held = np.empty(n), np.empty(n), np.full(n, np.nan)
     size = np.bincount(seen.cluster, minlength=len(fitted.held_out))
     fold = folds(size)
-    for part in chunks(n):
-        before[part] = distances(seen, part, fitted.terms, np.zeros(len(fitted.terms)))
+    zero = np.zeros(len(fitted.terms))
+
+    def piece(part: slice) -> None:
+        before[part] = distances(seen, part, fitted.terms, zero)
         after[part] = distances(seen, part, fitted.terms, fitted.value)
+
+    in_threads(piece, slices(n, CHUNK))
     for k in range(_FOLDS):
         targets = np.flatnonzero(fold == k)
         if len(targets) and np.isfinite(fitted.held_out[targets[0]]).all():
-            rows = np.flatnonzero(fold[seen.cluster] == k)
-            for part in chunks(len(rows)):
-                held[rows[part]] = distances(seen, rows[part], fitted.terms, fitted.held_out[targets[0]])
+            rows, value = np.flatnonzero(fold[seen.cluster] == k), fitted.held_out[targets[0]]
+
+            def held_piece(part: slice, rows: IntArray = rows, value: FloatArray = value) -> None:
+                held[rows[part]] = distances(seen, rows[part], fitted.terms, value)
+
+            in_threads(held_piece, slices(len(rows), CHUNK))
     return before, after, held
 
 

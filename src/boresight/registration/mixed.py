@@ -152,11 +152,16 @@ def _upwards(products: Products, variances: Variances, *, keep: bool) -> tuple[l
             s = np.add.reduceat(s, level.first, axis=0)
         last = number == len(products.levels) - 1
         d = variances.effects[number][level.group]
-        gain = _shrunk_solve(s[:, :w, :w], d, s[:, :w, :])
+        wide = s.shape[2]
+        right = s[:, :w, :]
+        if keep:
+            right = np.concatenate([right, np.broadcast_to(np.eye(w), (len(s), w, w))], axis=2)
+        solved = _shrunk_solve(s[:, :w, :w], d, right)
+        gain = solved[:, :, :wide]
         if keep or last:
             score = s[:, :w, :] - s[:, :w, :w] @ gain
         if keep:
-            kernel = _shrunk_solve(s[:, :w, :w], d, np.broadcast_to(np.eye(w), (len(s), w, w)))
+            kernel = solved[:, :, wide:]
             above = np.zeros(len(s), np.int64) if last else products.levels[number + 1].first
             parent = np.repeat(np.arange(len(above)), np.diff(np.append(above, len(s))))
             rungs.append(_Rung(gain, score, kernel, parent))
@@ -235,31 +240,23 @@ class Scores(NamedTuple):
     meat: FloatArray
 
 
-def plain_scores(products: Products, variances: Variances) -> Scores:
-    """The scores of least squares with the plots' own weights, of products ``[Z0 | Z1 | Z2 | X | r | Y]``.
+def plain_scores(products: Products, noise_meat: FloatArray, variances: Variances) -> Scores:
+    """The scores of least squares with the plots' own weights.
 
-    Y (p columns) is X times the root of (weight x noise variance), so that ``Y' W Y`` is what the noise adds to the meat.
+    `noise_meat` (B, p, p) is what the noise adds to the meat in each short block: ``X' W N W X``, N the noise's variances.
     """
     p = products.terms
-    s = products.channel.sum(axis=0)
     widths = [len(level.group) for level in products.levels]
     x = slice(sum(widths), sum(widths) + p)
-    y = slice(x.stop + 1, x.stop + 1 + p)
-    total = s
-    meats: list[FloatArray] = [s[:, y, y]]
-    firsts: list[IntArray] = []
+    total, meat = products.channel.sum(axis=0), noise_meat
     for number, level in enumerate(products.levels):
         if number:
-            total = np.add.reduceat(total, level.first, axis=0)
-            firsts.append(level.first)
+            total, meat = np.add.reduceat(total, level.first, axis=0), np.add.reduceat(meat, level.first, axis=0)
         begin = sum(widths[:number])
         cross = total[:, x, begin : begin + widths[number]]
-        spread = (cross * variances.effects[number][level.group]) @ np.swapaxes(cross, 1, 2)
-        if number:
-            meats = [np.add.reduceat(meat, level.first, axis=0) for meat in meats]
-        meats.append(spread)
+        meat = meat + (cross * variances.effects[number][level.group]) @ np.swapaxes(cross, 1, 2)
     xr = slice(x.start, x.stop + 1)
-    return Scores(total[:, xr, xr], np.asarray(sum(meats)))
+    return Scores(total[:, xr, xr], meat)
 
 
 def influence(products: Products) -> FloatArray:

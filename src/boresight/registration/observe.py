@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .._parallel import in_threads, slices
 from .._types import BoolArray, FloatArray, IntArray
-from ..geodesy import geodetic_from_ecef, height_and_up, rotate
-from ..measure import polar_jacobian, polar_motion, position_from_height, site_of, true_azimuth, wrap_rad
-from ..model import Pairs, Sensor, Sensors
-from ..terms import Geometry, Term
+from ..geodesy import height_and_up, rotate
+from ..measure import (
+    from_true_north,
+    heading_about,
+    polar_jacobian,
+    polar_motion,
+    position_from_height,
+    site_of,
+    wrap_rad,
+)  # fmt: skip
+from ..model import Pairs, Sensor
+from ..terms import Geometry, Term, order_of
 
 # Rows that are worked on at a time: large enough for NumPy, small enough for the memory.
 CHUNK = 1 << 15
 _TIME_TERMS = frozenset({"time_offset"})
+_BY_ROW = (
+    "row", "enu", "velocity", "acceleration", "measured", "reference_variance", "heading_rad", "length_m", "time_s", "weight",
+    "cluster",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,7 +37,8 @@ class Observed:
 
     `row` (n,) is the row in the pairs; `enu`, `velocity`, `acceleration` (n, 3) the reference about the antenna at the stamp,
     local axes; `measured` (n, 3) range, azimuth from true north, elevation (NaN where not measured); `reference_variance` (n,
-    3) the reference's variance in these; `cluster` (n,) numbers the targets from 0; `time_s` counts from `epoch_s`.
+    3) the reference's variance in these; `heading_rad` is from the antenna's north; `cluster` (n,)
+    numbers the targets from 0; `time_s` counts from `epoch_s`.
     """
 
     sensor: Sensor
@@ -64,7 +78,7 @@ def fill_lengths(pairs: Pairs) -> Pairs:
     if not missing.any() or not np.isfinite(measured[missing]).any():
         return pairs
     length = pairs.length_m.copy()
-    key = _cluster_key(pairs)
+    key = cluster_key(pairs)
     order = np.lexsort((measured, key))  # NaN sort last within each target
     sorted_key = key[order]
     first = np.flatnonzero(np.r_[True, sorted_key[1:] != sorted_key[:-1]])
@@ -75,7 +89,7 @@ def fill_lengths(pairs: Pairs) -> Pairs:
     return pairs.replace(length_m=length)
 
 
-def _cluster_key(pairs: Pairs) -> IntArray:
+def cluster_key(pairs: Pairs) -> IntArray:
     """One number a target; a pair without a target counts by its radar track, and without either by itself."""
     alone = np.arange(len(pairs))
     track = np.where(pairs.track >= 0, 2 * pairs.track, 2 * alone + 1)
@@ -113,20 +127,30 @@ def unusable(pairs: Pairs) -> dict[str, BoolArray]:
 
 def observe(pairs: Pairs, rows: IntArray, sensor: Sensor, epoch_s: float) -> Observed:
     """The usable pairs at `rows` (n,), all of `sensor`, ready for estimation."""
-    key = _cluster_key(pairs)[rows]
+    key = cluster_key(pairs)[rows]
     order = np.lexsort((pairs.plot[rows], pairs.plots.time_s[rows], key))
     rows, key = rows[order], key[order]
-    own = pairs if np.array_equal(rows, np.arange(len(pairs))) else pairs[rows]
+    plots, n = pairs.plots, len(rows)
     site, rotation = site_of(sensor)
-    enu = rotate(rotation, own.position - site)
-    variance = np.zeros((len(rows), 3))
-    for k in range(0, len(rows), CHUNK):
-        jacobian = polar_jacobian(enu[k : k + CHUNK]) @ rotation
-        local = jacobian @ np.nan_to_num(own.covariance[k : k + CHUNK], posinf=0.0, neginf=0.0) @ np.swapaxes(jacobian, 1, 2)
-        variance[k : k + CHUNK] = np.maximum(np.einsum("nii->ni", local), 0.0)
+    enu, velocity, acceleration = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
+    variance, heading = np.zeros((n, 3)), np.empty(n)
+
+    def piece(part: slice) -> None:
+        mine = rows[part]
+        position = pairs.position[mine]
+        enu[part] = rotate(rotation, position - site)
+        velocity[part] = rotate(rotation, pairs.velocity[mine])
+        acceleration[part] = rotate(rotation, np.nan_to_num(pairs.acceleration[mine], posinf=0.0, neginf=0.0))
+        jacobian = polar_jacobian(enu[part]) @ rotation
+        covariance = np.nan_to_num(pairs.covariance[mine], posinf=0.0, neginf=0.0)
+        variance[part] = np.maximum(np.einsum("nij,njk,nik->ni", jacobian, covariance, jacobian), 0.0)
+        carried = pairs.heading_rad[mine]
+        heading[part] = heading_about(np.where(np.isfinite(carried), carried, np.nan), position, rotation)
+
+    in_threads(piece, slices(n, CHUNK))
     keys, cluster = np.unique(key, return_inverse=True)
-    azimuth = true_azimuth(own.plots, Sensors((sensor,)))
-    elevation = np.where(np.isfinite(own.plots.elevation_rad), own.plots.elevation_rad, np.nan)
+    length, elevation = pairs.length_m[rows], plots.elevation_rad[rows]
+    azimuth = from_true_north(plots.azimuth_rad[rows], sensor)
     return Observed(
         sensor=sensor,
         site=site,
@@ -134,23 +158,22 @@ def observe(pairs: Pairs, rows: IntArray, sensor: Sensor, epoch_s: float) -> Obs
         epoch_s=epoch_s,
         row=rows,
         enu=enu,
-        velocity=rotate(rotation, own.velocity),
-        acceleration=rotate(rotation, np.nan_to_num(own.acceleration, posinf=0.0, neginf=0.0)),
-        measured=np.stack([own.plots.range_m, azimuth, elevation], axis=1),
+        velocity=velocity,
+        acceleration=acceleration,
+        measured=np.stack([plots.range_m[rows], azimuth, np.where(np.isfinite(elevation), elevation, np.nan)], axis=1),
         reference_variance=variance,
-        heading_rad=np.where(np.isfinite(own.heading_rad), own.heading_rad, np.nan),
-        length_m=np.where(np.isfinite(own.length_m), own.length_m, np.nan),
-        time_s=own.plots.time_s - epoch_s,
-        weight=own.weight,
+        heading_rad=heading,
+        length_m=np.where(np.isfinite(length), length, np.nan),
+        time_s=plots.time_s[rows] - epoch_s,
+        weight=pairs.weight[rows],
         cluster=cluster,
         cluster_key=keys,
     )
 
 
-def chunks(n: int) -> Iterator[slice]:
-    """Slices that cover n rows."""
-    for k in range(0, n, CHUNK):
-        yield slice(k, min(k + CHUNK, n))
+def take(seen: Observed, rows: IntArray) -> Observed:
+    """The rows (m,) alone; clusters keep their numbers."""
+    return replace(seen, **{name: getattr(seen, name)[rows] for name in _BY_ROW})
 
 
 def time_offset(terms: Sequence[Term], value: FloatArray) -> float:
@@ -158,34 +181,43 @@ def time_offset(terms: Sequence[Term], value: FloatArray) -> float:
     return float(sum(v for term, v in zip(terms, value, strict=True) if term.name in _TIME_TERMS))
 
 
-def geometry(seen: Observed, rows: slice | IntArray, late_s: float) -> Geometry:
-    """Where the targets truly were, as the radar saw them: `late_s` before their stamps."""
+def geometry(seen: Observed, rows: slice | IntArray, late_s: float, order: int = 1) -> Geometry:
+    """Where the targets truly were, as the radar saw them: `late_s` before their stamps; with rates up to the `order`."""
     acceleration, velocity = seen.acceleration[rows], seen.velocity[rows]
-    enu = seen.enu[rows] - late_s * velocity + (0.5 * late_s**2) * acceleration
-    polar, rate, second, third = polar_motion(enu, velocity - late_s * acceleration, acceleration)
+    enu = seen.enu[rows]
+    if late_s != 0:
+        enu = enu - late_s * velocity + (0.5 * late_s**2) * acceleration
+        velocity = velocity - late_s * acceleration
+    polar, rate, second, third = polar_motion(enu, velocity, acceleration, order=order)
     return Geometry(
         polar[:, 0], polar[:, 1], polar[:, 2], rate, second, third, seen.heading_rad[rows], seen.length_m[rows], seen.time_s[rows]
     )
 
 
-def linearise(
-    seen: Observed, rows: slice | IntArray, terms: Sequence[Term], value: FloatArray
-) -> tuple[Geometry, FloatArray, FloatArray]:
-    """Geometry, residuals (n, 3) and columns (n, 3, p), SI, at the error values (p,).
+def look(
+    seen: Observed, rows: slice | IntArray, terms: Sequence[Term], value: FloatArray, also: Sequence[Term] = ()
+) -> tuple[Geometry, FloatArray, dict[str, FloatArray]]:
+    """Geometry, residuals (n, 3) at the error values (p,), SI, and the columns (n, 3) of the terms and `also` of others, by name.
 
     The time offset enters through the target's motion, all other terms through their columns; elevation residuals are NaN where
     none was measured.
     """
-    place = geometry(seen, rows, time_offset(terms, value))
-    columns = np.empty((len(place.range_m), 3, len(terms)))
+    place = geometry(seen, rows, time_offset(terms, value), order_of([*terms, *also]))
+    columns = {term.name: term.columns(place) for term in [*terms, *also]}
     residual = seen.measured[rows] - np.stack([place.range_m, place.azimuth_rad, place.elevation_rad], axis=1)
-    residual[:, 1] = wrap_rad(residual[:, 1])
-    for k, term in enumerate(terms):
-        columns[:, :, k] = term.columns(place)
-        if term.name not in _TIME_TERMS:
-            residual -= columns[:, :, k] * value[k]
+    for term, v in zip(terms, value, strict=True):
+        if term.name not in _TIME_TERMS and v != 0:
+            residual -= columns[term.name] * v
     residual[:, 1] = wrap_rad(residual[:, 1])
     return place, residual, columns
+
+
+def linearise(
+    seen: Observed, rows: slice | IntArray, terms: Sequence[Term], value: FloatArray
+) -> tuple[Geometry, FloatArray, FloatArray]:
+    """`look` with the terms' columns as one array (n, 3, p)."""
+    place, residual, columns = look(seen, rows, terms, value)
+    return place, residual, np.stack([columns[term.name] for term in terms], axis=2)
 
 
 def distances(seen: Observed, rows: slice | IntArray, terms: Sequence[Term], value: FloatArray) -> FloatArray:
@@ -194,14 +226,18 @@ def distances(seen: Observed, rows: slice | IntArray, terms: Sequence[Term], val
     NaN where the slant range is too short for that height.
     """
     late = time_offset(terms, value)
-    place, residual, _ = linearise(seen, rows, terms, value)
+    # What a late stamp does is in the motion: its own column is not needed.
+    others = [(t, v) for t, v in zip(terms, value, strict=True) if t.name not in _TIME_TERMS and v != 0]
+    place = geometry(seen, rows, late, order_of([t for t, _ in others]))
+    residual = seen.measured[rows] - np.stack([place.range_m, place.azimuth_rad, place.elevation_rad], axis=1)
+    for term, v in others:
+        residual -= term.columns(place) * v
     enu = seen.enu[rows] - late * seen.velocity[rows] + (0.5 * late**2) * seen.acceleration[rows]
     position = seen.site + enu @ seen.rotation
-    height = geodetic_from_ecef(position)[2]
+    height, up = height_and_up(position)
     lies = position_from_height(
         place.range_m + residual[:, 0], place.azimuth_rad + residual[:, 1], height, seen.site, seen.rotation
     )
-    _, up = height_and_up(position)
     off = lies - position
     off -= np.einsum("ni,ni->n", off, up)[:, None] * up
     return np.asarray(np.sqrt(np.einsum("ni,ni->n", off, off)))

@@ -14,7 +14,7 @@ import numpy as np
 
 from .._types import AnyArray, BoolArray, FloatArray, IntArray
 from ..geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate
-from ..measure import polar_from_enu, polar_motion, position_from_polar, wrap_turn
+from ..measure import heading_about, polar_from_enu, polar_motion, position_from_polar, wrap_turn
 from ..model import Channel, Fixes, Flag, Plots, Sensor
 from ..terms import TERMS, Geometry
 from ..writing.asterix import Marks, accuracy_sd_m
@@ -152,7 +152,7 @@ def geometry_at(truth: Truth, radar: Radar, target: IntArray, seconds: FloatArra
         rate=rate,
         second=second,
         third=third,
-        heading_rad=truth.course_rad(motion.position, motion.velocity),
+        heading_rad=heading_about(truth.course_rad(motion.position, motion.velocity), motion.position, rotation),
         length_m=truth.aircraft.length_m[target],
         time_s=seconds,
     )
