@@ -20,7 +20,7 @@ from boresight.calibration import Calibration
 from boresight.errors import InputError
 from boresight.model import Sensors
 from boresight.report import write_report
-from boresight.report.figures import binned, group_quantiles, quantities, robust_sd
+from boresight.report.figures import _size, binned, group_quantiles, quantities, robust_sd
 from boresight.report.page import decimals, number, render, rows_of, verdict
 from boresight.terms import TERMS
 from conftest import Scene
@@ -269,6 +269,13 @@ def test_who_is_handed_the_report_finds_targets_files_and_sensors(scene: Scene) 
     assert sensor is not None
     assert f"{sensor.lat_deg:.6f}°, {sensor.lon_deg:.6f}°" in page.text
     assert "combined primary and secondary radar, SAC/SIC 1/1" in page.text
+
+
+@pytest.mark.parametrize(
+    ("metres", "text"), [(18_133.0, "18 km"), (1_240.0, "1.2 km"), (996.0, "1 km"), (140.2, "140 m"), (9.04, "9 m"), (0.31, "0.31 m")]
+)
+def test_lengths_in_captions(metres: float, text: str) -> None:
+    assert _size(metres) == text
 
 
 def test_every_setting_of_the_estimate_is_explained() -> None:

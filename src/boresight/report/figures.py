@@ -620,11 +620,13 @@ def _km(metres: float) -> str:
 
 
 def _target_name(number: int, targets: Mapping[int, str] | None) -> str:
-    return (targets or {}).get(number, f"Target {number}")
+    return f"Target {(targets or {}).get(number, str(number))}"
 
 
 def _size(metres: float) -> str:
-    return f"{metres / 1e3:.2g} km" if metres >= 1e3 else f"{metres:.2g} m"
+    """A length in words, to two digits."""
+    rounded = float(f"{metres:.2g}")
+    return f"{rounded / 1e3:g} km" if rounded >= 1e3 else f"{rounded:g} m"
 
 
 def _joined(r: Residuals, rows: IntArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
