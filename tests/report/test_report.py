@@ -272,7 +272,8 @@ def test_who_is_handed_the_report_finds_targets_files_and_sensors(scene: Scene) 
 
 
 @pytest.mark.parametrize(
-    ("metres", "text"), [(18_133.0, "18 km"), (1_240.0, "1.2 km"), (996.0, "1 km"), (140.2, "140 m"), (9.04, "9 m"), (0.31, "0.31 m")]
+    ("metres", "text"),
+    [(18_133.0, "18 km"), (1_240.0, "1.2 km"), (996.0, "1 km"), (140.2, "140 m"), (9.04, "9 m"), (0.31, "0.31 m")],
 )
 def test_lengths_in_captions(metres: float, text: str) -> None:
     assert _size(metres) == text

@@ -1,0 +1,129 @@
+"""The documentation tells the truth: its code runs, its commands parse, its tables name what the program has."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+
+from boresight.cli import app
+from boresight.model import KINDS, Sensor
+from boresight.reading import uap
+from boresight.simulation import write_demo
+from boresight.terms import MODELS, TERMS
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md"])
+
+
+def blocks(page: Path) -> list[str]:
+    """The Python blocks of a page, in order."""
+    return re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.S | re.M)
+
+
+def section(page: Path, heading: str) -> str:
+    """What stands under a heading, up to the next."""
+    found = re.search(rf"^##+ {re.escape(heading)}\n(.*?)(?=^##+ |\Z)", page.read_text(encoding="utf-8"), re.S | re.M)
+    assert found, heading
+    return found[1]
+
+
+def rows(text: str) -> list[list[str]]:
+    """The cells of a section's table, without its head."""
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def code(cell: str) -> list[str]:
+    return re.findall(r"`([^`]+)`", cell)
+
+
+def test_the_tutorial_runs_block_after_block(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    page = ROOT / "docs" / "calibrate.md"
+    found = blocks(page)
+    assert len(found) >= 5
+    for k, block in enumerate(found):
+        exec(compile(block, f"{page.name}, block {k + 1}", "exec"), names)
+    said = capsys.readouterr().out
+    assert "azimuth_bias" in said
+    assert len(names["clean"]) == len(names["radar"].plots)  # type: ignore[arg-type, attr-defined]
+    listed = {name for row in rows(section(page, "Hand on")) for name in code(row[0])}
+    assert {p.name for p in (tmp_path / "result").iterdir()} == listed
+    # The command on the page names the files that the page has made.
+    for path in re.findall(r"demo/\S+", section(page, "Hand on")):
+        assert (tmp_path / path).is_file()
+    assert f"--date {names['files'].date.isoformat()}" in page.read_text(encoding="utf-8")  # type: ignore[attr-defined]
+
+
+def test_the_code_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    files = write_demo(tmp_path, seed=1)
+    for made, named in ((files.plots[0], "radar.ast"), (files.reference[0], "adsb.ast")):
+        if made.name != named:
+            shutil.copy(made, tmp_path / named)
+    assert files.sensors == tmp_path / "sensors.toml"
+    monkeypatch.chdir(tmp_path)
+    (block,) = blocks(ROOT / "README.md")
+    names: dict[str, object] = {}
+    exec(compile(block, "README.md", "exec"), names)
+    assert "azimuth_bias" in capsys.readouterr().out
+    assert len(names["clean"]) > 0  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_every_command_on_a_page_is_understood(page: Path) -> None:
+    """Indented lines that begin with the program's name are commands; they are parsed, not run."""
+    for line in re.findall(r"^    boresight (.*)$", page.read_text(encoding="utf-8"), re.M):
+        tokens = shlex.split(line.split("  #")[0])
+        app.parse_args(tokens, exit_on_error=False, print_error=False)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_between_pages_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8")):
+        assert (page.parent / target).exists(), target
+
+
+def test_the_tables_of_terms_and_models_are_those_of_the_program() -> None:
+    page = ROOT / "docs" / "terms.md"
+    terms = rows(section(page, "Terms"))
+    named = [name for row in terms for name in code(row[0])]
+    assert named == list(TERMS)
+    for row in terms:
+        for name in code(row[0]):
+            assert row[1] == TERMS[name].unit, name
+    models = rows(section(page, "Models"))
+    assert [name for row in models for name in code(row[0])] == list(MODELS)
+    for row in models:
+        # The words that tell one term from another; "bias" goes with range, azimuth and elevation.
+        told = {
+            "range_gain": "gain", "azimuth_cos": "eccentricity", "azimuth_sin": "eccentricity", "elevation_bias": "elevation",
+            "time_offset": "time offset", "along_heading_per_length": "extent", "range_bias": "range", "azimuth_bias": "azimuth",
+        }  # fmt: skip
+        model = MODELS[code(row[0])[0]]
+        assert set(model) <= set(told)
+        for name, words in told.items():
+            assert (words in row[1]) == (name in model), name
+
+
+def test_every_key_and_kind_of_sensors_toml_is_described() -> None:
+    page = ROOT / "docs" / "sensors.md"
+    table = rows(section(page, "sensors.toml"))
+    described = {name for row in table for name in code(row[0])} | {"height_msl_m", "geoid_m", "id"}
+    text = " ".join(row[1] for row in table)
+    for inside in ("height_msl_m", "geoid_m", "id"):
+        assert f"`{inside}`" in text
+    assert described == set(Sensor.__struct_fields__)
+    (kinds,) = (row[1] for row in table if row[0] == "`kind`")
+    assert set(code(kinds)) == set(KINDS)
+
+
+def test_every_category_of_asterix_is_listed() -> None:
+    listed = {int(c) for row in rows(section(ROOT / "docs" / "sensors.md", "ASTERIX")) for c in re.findall(r"\d{3}", row[0])}
+    assert listed == set(uap._TABLES)
