@@ -356,19 +356,23 @@ def _robust_start(
     value, spread = np.zeros(p), np.ones(c)
     late = 0
 
+    share = 1.0
+
     def piece(part: slice) -> tuple[FloatArray, BoolArray, FloatArray]:
         _, r, columns = look(sample, part, terms, value, _effect_terms(layout))
-        s = np.sqrt(_row_variance(sample, part, columns, layout, variances, 1.0))
+        s = np.sqrt(_row_variance(sample, part, columns, layout, variances, share))
         present = np.isfinite(r[:, :c])
         x = np.stack([columns[t.name][:, :c] * t.prior_sd for t in terms], axis=2) / s[:, :, None]
         return np.where(present, r[:, :c], 0.0) / s, present, x
 
+    def scale(pieces: Sequence[tuple[FloatArray, BoolArray, FloatArray]]) -> FloatArray:
+        sizes = [np.concatenate([np.abs(u[present[:, k], k]) for u, present, _ in pieces]) for k in range(c)]
+        return np.maximum(np.array([1.4826 * np.median(q) if len(q) else 1.0 for q in sizes]), 1e-3)
+
     for number in range(settings.max_iterations):
         a, b = np.diag(np.ones(p)), -value / prior_sd
         pieces = in_threads(piece, slices(len(sample), CHUNK // 2))
-        sizes = [np.concatenate([np.abs(u[present[:, k], k]) for u, present, _ in pieces]) for k in range(c)]
-        spread = np.array([1.4826 * np.median(q) if len(q) else 1.0 for q in sizes])
-        spread = np.maximum(spread, 1e-3)
+        spread = scale(pieces)
         convex = number < 6 or late == 0
         for u, present, x in pieces:
             w = _row_weights(u / spread, present, settings, convex=convex) / spread**2
@@ -382,7 +386,10 @@ def _robust_start(
         late = late + 1 if done or number >= 10 else late
         if done and not convex:
             break
-    return _State(value, variances, _reference_share(whole, terms, value), spread, np.ones(len(layout.target)))
+    # What a plot varies by depends on the share, and the residuals' scale on that.
+    share = _reference_share(whole, terms, value)
+    spread = scale(in_threads(piece, slices(len(sample), CHUNK // 2)))
+    return _State(value, variances, share, spread, np.ones(len(layout.target)))
 
 
 def _reference_share(seen: Observed, terms: tuple[Term, ...], value: FloatArray) -> float:
@@ -666,7 +673,7 @@ def _rank_deficient(
     gram = np.zeros((p, p))
     for part in slices(len(sample), CHUNK):
         _, r, columns = look(sample, part, terms, state.value, _effect_terms(layout))
-        total = _row_variance(sample, part, columns, layout, state.variances, 1.0)
+        total = _row_variance(sample, part, columns, layout, state.variances, state.reference_share)
         present = np.isfinite(r[:, :c])
         u = np.where(present, r[:, :c], 0.0) / np.sqrt(total)
         w = _row_weights(u / state.spread, present, settings, convex=False) / total / state.spread**2
