@@ -341,6 +341,16 @@ def test_mutated_wrappings_neither_fail_nor_hang_and_lose_little(tmp_path: Path,
     assert np.median(shares) > 0.8
 
 
+def test_an_impossible_time_of_a_packet_moves_nothing(tmp_path: Path, plain: Recording) -> None:
+    packets = frames()
+    packets[7] = (START + 9e8, packets[7][1])
+    packets[0] = (4.0e9, packets[0][1])
+    found = read_asterix(write(tmp_path, pcap(packets)))
+    the_same(found.plots, plain.plots)
+    assert np.isnan(found.receive_s[[0]]).all()
+    assert any(w.startswith("2 packets have impossible times") for w in found.warnings)
+
+
 # ---------------------------------------------------------------------------------------- times of day that are cut to 512 s
 
 

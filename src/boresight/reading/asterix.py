@@ -1437,6 +1437,8 @@ class Reader:
                 # The date that was given counts; in a capture the time of day of its clock goes with it.
                 own = np.floor(told[0] / DAY_S) if self.kind in ("pcap", "pcapng") else 0.0
                 shift = (self.state.day - own) * DAY_S if self.dated or own == 0.0 else 0.0
+                if not self.dated and own:
+                    self.state = replace(self.state, day=int(own))
             received = received + (0.0 if np.isnan(shift) else shift)
             if np.count_nonzero(~good) > _APART:
                 good[:] = True
@@ -1456,15 +1458,17 @@ class Reader:
     def remarks(self, date: datetime.date | None) -> list[str]:
         """What a reader should know of the container and of the date."""
         out: list[str] = []
-        if self.kind not in ("pcap", "pcapng"):
+        if self.kind not in ("pcap", "pcapng") or np.isnan(self.first_s):
             if date is None:
                 out.append("no date was given: the first record's day counts as 1970-01-01 (--date gives its UTC date)")
-        elif np.isfinite(self.first_s):
+        else:
             own = datetime.datetime.fromtimestamp(self.first_s, datetime.UTC).date()
             if date is not None and date != own:
                 out.append(f"the capture was made on {own}, but the date given is {date}: that one counts")
         if self.tally.other:
             out.append(f"{self.tally.other} of {self.tally.packets} packets are no UDP datagrams: they were passed over")
+        if self.tally.untimed:
+            out.append(f"{self.tally.untimed} packets have impossible times of reception: they were not used")
         if self.strange:
             out.append(f"{self.strange} of {self.tally.datagrams} datagrams hold no ASTERIX: they were passed over")
         unread = [link_name(link) for link in self.tally.links if link not in READABLE]

@@ -28,6 +28,8 @@ _LONGEST = 1 << 20
 _PACKETS = 1 << 16
 # Datagrams in pieces that are waited for at once.
 _WAITING = 1024
+# Times of packets beyond the year 2200, or this far from those around them, are damaged.
+_LATEST, _APART_S = 7.26e9, 400 * 86400.0
 # Bytes that are searched for where packets go on after damage.
 _SEARCH = 1 << 20
 # Ahead of its first block a GPS-stamped file has a header of this size, behind each block a trailer of that size.
@@ -76,12 +78,16 @@ class Portion(NamedTuple):
 
 @dataclass(slots=True)
 class Tally:
-    """What a container held beside datagrams.  `cut` counts packets that were captured in part, `links` packets by link type."""
+    """What a container held beside datagrams.
+
+    `cut` counts packets that were captured in part, `untimed` those with impossible times, `links` packets by link type.
+    """
 
     packets: int = 0
     datagrams: int = 0
     other: int = 0
     cut: int = 0
+    untimed: int = 0
     links: Counter[int] = field(default_factory=Counter)
     damaged: list[Damage] = field(default_factory=list)
 
@@ -471,6 +477,14 @@ def _found(
     tally.packets += n
     for link, count in zip(*np.unique(links, return_counts=True), strict=True):
         tally.links[int(link)] += int(count)
+    # A damaged stamp must not move records by years.
+    known = seconds[np.isfinite(seconds)]
+    strange = np.isfinite(seconds) & ((seconds < 0) | (seconds > _LATEST))
+    if len(known):
+        strange |= np.abs(seconds - np.median(known)) > _APART_S
+    if strange.any():
+        tally.untimed += int(np.count_nonzero(strange))
+        seconds = np.where(strange, np.nan, seconds)
     end = frame + taken
     last = len(data) - 1
     at, kind = _network(data, frame, end, links)
