@@ -180,3 +180,17 @@ def test_results_appear_together_or_not_at_all(scene, tmp_path: Path, monkeypatc
         with pytest.raises(said):
             flow.write_results(run, sensors, tmp_path / "never" / "was")
         assert not (tmp_path / "never").exists()
+
+
+def test_a_site_that_the_stream_contradicts_is_said(scene, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """The radar's own messages (I034/120) say where it stands; a typing mistake of a hundredth of a degree is seen."""
+    _, files = scene
+    text = files.sensors.read_text()
+    first = re.search(r"lat_deg = ([\d.]+)", text)
+    assert first is not None
+    path = tmp_path / "sensors.toml"
+    path.write_text(text.replace(first[0], f"lat_deg = {float(first[1]) + 0.01}", 1))
+    run = flow.calibrate(files.plots, files.reference, load_sensors(path), date=files.date)
+    assert any("stands 1,1" in w and "away from where sensors.toml puts it" in w for w in run.calibration.warnings)
+    right = flow.calibrate(files.plots, files.reference, load_sensors(files.sensors), date=files.date)
+    assert not any("away from where" in w for w in right.calibration.warnings)

@@ -88,6 +88,7 @@ def calibrate(
     from .association import search
     from .measure import site_warnings
     from .platform import fix_platforms
+    from .reading.site import site_disagreements
     from .registration import register
     from .terms import terms_of
 
@@ -103,6 +104,7 @@ def calibrate(
     radar = _read_all(plots, editions, date, warnings, progress)
     trusted = _read_all(reference, editions, date, warnings, progress)
     measured = _with_known_sensor(Plots.concat([r.plots for r in radar]), sensors, radar, warnings)
+    warnings += site_disagreements([s for r in radar for s in r.sources], sensors)
     fixes = _others(trusted, measured, warnings)
     if not len(fixes):
         raise NothingToDo(
