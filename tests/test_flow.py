@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,8 +23,14 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, object]:
     return folder, write_demo(folder, seed=3)
 
 
-def test_demo_finds_the_true_errors(tmp_path: Path) -> None:
-    run = flow.demo(tmp_path, seed=2)
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, flow.Run]:
+    folder = tmp_path_factory.mktemp("demo")
+    return folder, flow.demo(folder, seed=2)
+
+
+def test_demo_finds_the_true_errors(demo: tuple[Path, flow.Run]) -> None:
+    folder, run = demo
     rows = [row for rows in run.truth.values() for row in rows]
     errors = np.array([(row.found - row.true) / row.sd for row in rows])
     assert len(rows) >= 8
@@ -31,9 +38,9 @@ def test_demo_finds_the_true_errors(tmp_path: Path) -> None:
     # One term in four hundred is beyond 3.5 sd by chance when the sd are right.
     assert (np.abs(errors) < 3.5).all()
     assert sum(abs(row.true) > 5 * row.sd for row in rows) >= 6
-    page = (tmp_path / "report.html").read_text()
+    page = (folder / "report.html").read_text()
     assert not re.search(r'(?:src|href)="https?:', page)
-    stored = json.loads((tmp_path / "calibration.json").read_text())
+    stored = json.loads((folder / "calibration.json").read_text())
     assert stored["schema"] == "boresight-calibration/1"
 
 
@@ -44,12 +51,13 @@ def test_same_seed_same_bytes(tmp_path: Path) -> None:
         assert first.read_bytes() != third.read_bytes()
 
 
-def test_an_earlier_result_is_kept(tmp_path: Path) -> None:
-    flow.demo(tmp_path, seed=2)
-    first = (tmp_path / "calibration.json").read_bytes()
-    flow.demo(tmp_path, seed=4)
-    assert (tmp_path / "earlier-1" / "calibration.json").read_bytes() == first
-    assert (tmp_path / "calibration.json").read_bytes() != first
+def test_an_earlier_result_is_kept(demo: tuple[Path, flow.Run], tmp_path: Path) -> None:
+    folder = tmp_path / "demo"
+    shutil.copytree(demo[0], folder)
+    first = {p.name: p.read_bytes() for p in folder.iterdir()}
+    flow.demo(folder, seed=4)
+    assert {p.name: p.read_bytes() for p in (folder / "earlier-1").iterdir()} == first
+    assert (folder / "calibration.json").read_bytes() != first["calibration.json"]
 
 
 def test_exchanged_arguments_are_said(scene) -> None:  # type: ignore[no-untyped-def]
