@@ -551,6 +551,7 @@ def trajectories(fixes: Fixes, *, method: str = "smooth", max_gap_s: float | Non
     spikes = 0
     fitted = _unfitted(len(row))
     redo = np.arange(len(row))
+    worth: dict[int, float] = {}
     for attempt in range(_ROUNDS + 1):
         k = len(row)
         lane_start = np.searchsorted(lane, np.arange(len(lane_key) + 1)).astype(np.int64)
@@ -559,7 +560,7 @@ def trajectories(fixes: Fixes, *, method: str = "smooth", max_gap_s: float | Non
         gap = np.where(np.isfinite(gap), gap, 3.0)
         new = np.r_[True, (np.diff(lane) != 0) | (np.diff(time) > gap[lane[1:]])] if k else np.empty(0, bool)
         segment = np.cumsum(new).astype(np.int64) - 1
-        fitted = _fit_all(fixes, row, lane, lane_start, segment, time, position, sd, redo, fitted)
+        fitted = _fit_all(fixes, row, lane, lane_start, segment, time, position, sd, redo, fitted, worth)
         spike = _lone_spikes(segment, fitted.miss2)
         if not spike.any() or attempt == _ROUNDS:
             break
@@ -710,7 +711,7 @@ def _lengths(fixes: Fixes, target: IntArray, targets: int) -> FloatArray:
 
 class _Fitted(NamedTuple):
     """What is known of every row (k,): its fit, and on the way there the noise ratios `flat` and `tall` of the narrowest window
-    and the fit of the positions alone."""
+    and the reported velocities and their weights."""
 
     position: FloatArray
     velocity: FloatArray
@@ -722,13 +723,13 @@ class _Fitted(NamedTuple):
     miss2: FloatArray
     flat: FloatArray
     tall: FloatArray
-    plain_velocity: FloatArray
-    plain_var: FloatArray
+    reported: FloatArray
+    reported_weight: FloatArray
 
 
 def _unfitted(k: int) -> _Fitted:
     shapes = ((3,), (3,), (3,), (), (3,), (2,), (), (), (), (), (3,), ())
-    return _Fitted(*(np.full((k, *shape), np.nan) for shape in shapes))
+    return _Fitted(*(np.empty((k, *shape)) for shape in shapes))
 
 
 def _fit_all(
@@ -742,15 +743,17 @@ def _fit_all(
     sd: FloatArray,
     redo: IntArray,
     before: _Fitted,
+    worth: dict[int, float],
 ) -> _Fitted:
     """Quadratics about every fix; the white part of the noise, by lane; how far each fix lies from its neighbours' fit.
 
-    Only the rows `redo` are fitted; the others stay as they were `before`.
+    Only the rows `redo` are fitted; the others stay as they were `before`, whose arrays are written to.  What each source's
+    velocities are `worth` is found the first time, and kept.
     """
     k = len(row)
-    latitude, longitude = fixes.latitude_rad[row], fixes.longitude_rad[row]
-    rotation = enu_from_ecef(latitude, longitude)
-    up = np.ascontiguousarray(rotation[:, 2])
+    rotation = enu_from_ecef(fixes.latitude_rad[row[redo]], fixes.longitude_rad[row[redo]])
+    up = before.up
+    up[redo] = rotation[:, 2]
     low = np.searchsorted(segment, segment, side="left").astype(np.int64)
     high = np.searchsorted(segment, segment, side="right").astype(np.int64)
     local = time - (time.min() if k else 0.0)
@@ -792,9 +795,8 @@ def _fit_all(
     flat_scale = np.ascontiguousarray(scale[:, 0])
     ladder, fewest = np.array(_LADDER_S), np.array(_FEWEST, np.int64)
     found = fit(no_velocity, no_weight, flat_scale, ladder, fewest)
-    plain_velocity, plain_var = before.plain_velocity, before.plain_var
-    plain_velocity[redo], plain_var[redo] = found[1], found[3] * flat_scale[redo]
-    velocity, velocity_weight = _reported(fixes, row, rotation, plain_velocity, plain_var)
+    velocity, velocity_weight = before.reported, before.reported_weight
+    velocity[redo], velocity_weight[redo] = _reported(fixes, row[redo], rotation, found[1], found[3] * flat_scale[redo], worth)
     if (velocity_weight[redo] > 0).any():
         # Weights are in units of the assumed position noise, so the reported velocity's is scaled to match.
         found = fit(velocity, velocity_weight * flat_scale, flat_scale, ladder, fewest)
@@ -805,14 +807,13 @@ def _fit_all(
     own = (1 - leverage) * sd[redo] ** 2 * np.maximum(flat_scale[redo], 0.04)
     with np.errstate(divide="ignore", invalid="ignore"):
         miss2 = np.where(leverage < 0.95, np.einsum("ij,ij->i", miss, miss) / (2 * own), 0.0)
-    out = before._replace(up=up)
     for column, new in zip(
-        (out.position, out.velocity, out.acceleration, out.velocity_var, out.shrink, out.miss2),
+        (before.position, before.velocity, before.acceleration, before.velocity_var, before.shrink, before.miss2),
         (found[0], found[1], found[2], found[3] * flat_scale[redo], leverage, miss2),
         strict=True,
     ):
         column[redo] = new
-    return out
+    return before
 
 
 def _pooled_scale(lane: IntArray, lane_start: IntArray, source: IntArray, ratio: FloatArray) -> FloatArray:
@@ -829,12 +830,12 @@ def _pooled_scale(lane: IntArray, lane_start: IntArray, source: IntArray, ratio:
 
 
 def _reported(
-    fixes: Fixes, row: IntArray, rotation: FloatArray, fitted: FloatArray, fitted_var: FloatArray
+    fixes: Fixes, row: IntArray, rotation: FloatArray, fitted: FloatArray, fitted_var: FloatArray, worth: dict[int, float]
 ) -> tuple[FloatArray, FloatArray]:
     """Reported velocities (k, 3), ECEF, and weights 1 / variance (k,): 0 where there is none or the source's is not good.
 
-    What a source's velocities are worth is measured: their median distance from the fitted ones, less the fit's own variance.  A
-    missing vertical rate is the fitted one.
+    What a source's velocities are `worth` (its weight) is measured and noted there, unless it is known: their median distance
+    from the fitted ones, less the fit's own variance.  A missing vertical rate is the fitted one.
     """
     east, north, climb = fixes.velocity_east_mps[row], fixes.velocity_north_mps[row], fixes.velocity_up_mps[row]
     there = np.isfinite(east) & np.isfinite(north)
@@ -846,14 +847,15 @@ def _reported(
     source = fixes.source[row]
     for key in np.unique(source[there]).tolist():
         mine = there & (source == key)
-        # Parked targets would say that any velocity is perfect.
-        moving = mine & np.isfinite(fitted_var) & (np.hypot(local[:, 0], local[:, 1]) > _COURSE_MPS)
-        if moving.sum() < 20:
-            continue
-        # The median, since the tails are mostly those of positions (stamps that jitter).  2 ln 2: that of chi-square, 2 dof.
-        sd2 = max(float(np.median(difference2[moving])) / (2 * np.log(2)) - float(np.median(fitted_var[moving])), 0.15**2)
-        if sd2 <= _WORTH_MPS**2:
-            weight[mine & (difference2 <= _WILD_MPS**2)] = 1 / (_SHARED * sd2)
+        if key not in worth:
+            worth[key] = 0.0
+            # Parked targets would say that any velocity is perfect.
+            moving = mine & np.isfinite(fitted_var) & (np.hypot(local[:, 0], local[:, 1]) > _COURSE_MPS)
+            if moving.sum() >= 20:
+                # The median, since the tails are mostly those of positions (stamps that jitter).  2 ln 2: chi-square of 2 dof.
+                sd2 = float(np.median(difference2[moving])) / (2 * np.log(2)) - float(np.median(fitted_var[moving]))
+                worth[key] = 1 / (_SHARED * max(sd2, 0.15**2)) if sd2 <= _WORTH_MPS**2 else 0.0
+        weight[mine & (difference2 <= _WILD_MPS**2)] = worth[key]
     flat = np.stack(
         [np.where(there, east, 0.0), np.where(there, north, 0.0), np.where(np.isfinite(climb), climb, local[:, 2])], axis=1
     )

@@ -140,6 +140,10 @@ def _correct_rows(
         else np.zeros(len(time), np.int64)
     )
     heading, own_length = plots.heading_rad[rows], length[rows]
+    if entry is not None and entry.lat_deg is not None:
+        # A carried heading is from the north where the target is (the convergence of the meridians on a sphere is enough).
+        east = plots.range_m[rows] * np.sin(plots.azimuth_rad[rows] + north)
+        heading = heading - east / _EARTH_M * np.tan(entry.lat_deg * DEG)
     polar = []
     for k in terms:
         term = TERMS[calibration.terms[k].name]

@@ -420,7 +420,8 @@ def _moved(scene: Scene, before: CoarseBias, after: CoarseBias) -> bool:
     """Whether biases changed by more than the noise of one plot, somewhere in the coverage: pairs may then have been missed."""
     a = scene.assumed
     azimuth = np.linspace(0.0, 2 * np.pi, 16)
-    reach = np.linspace(0.0, float(np.nanmax(scene.plots.range_m)), 16)
+    ranges = scene.plots.range_m[np.isfinite(scene.plots.range_m)]
+    reach = np.linspace(0.0, float(ranges.max(initial=0.0)), 16)
     old, new = before.errors.at(reach, azimuth), after.errors.at(reach, azimuth)
     return bool(
         np.max(np.abs(new[0] - old[0])) > a.range_sd_m

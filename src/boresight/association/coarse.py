@@ -321,5 +321,5 @@ def clock_words(sensor: Sensor, bias: CoarseBias) -> list[str]:
     way = "late" if bias.time_s > 0 else "early"
     return [
         f"{sensor.name}: the radar's stamps are about {abs(bias.time_s):.1f} s {way} against the reference; "
-        "pairs keep their stamps, and a model with time_offset estimates it"
+        "a model with time_offset estimates it, and correction takes it out"
     ]

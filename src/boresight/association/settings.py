@@ -40,7 +40,7 @@ class AssociationSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     track_gap_s: float | None = None
     use_identity: bool = True
     clock_search_s: float = 5400.0
-    interpolation: Literal["nearest", "linear", "cubic", "smooth"] = "cubic"
+    interpolation: Literal["nearest", "linear", "cubic", "smooth"] = "smooth"
     reference_gap_s: float | None = None
 
     def __post_init__(self) -> None:

@@ -367,7 +367,7 @@ def _robust_start(
 
     def scale(pieces: Sequence[tuple[FloatArray, BoolArray, FloatArray]]) -> FloatArray:
         sizes = [np.concatenate([np.abs(u[present[:, k], k]) for u, present, _ in pieces]) for k in range(c)]
-        return np.maximum(np.array([1.4826 * np.median(q) if len(q) else 1.0 for q in sizes]), 1e-3)
+        return np.asarray(np.maximum([1.4826 * np.median(q) if len(q) else 1.0 for q in sizes], 1e-3))
 
     for number in range(settings.max_iterations):
         a, b = np.diag(np.ones(p)), -value / prior_sd
