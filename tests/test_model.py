@@ -87,6 +87,8 @@ def test_sensors_are_read(tmp_path: Path) -> None:
     [
         (("lat_deg = 41.0", "lat_deg = 91.0"), r"sensor 1 \('A'\): lat_deg = 91.0 is not within"),
         (("lat_deg = 41.0", "lat_deg = nan"), "lat_deg = nan is not within"),
+        (("height_m = 85.0", "height_m = inf"), "height_m = inf is not a number"),
+        (("height_m = 85.0", "height_m = 85.0\ntime_offset_s = nan"), "time_offset_s = nan is not a number"),
         (("kind = ", "knid = "), "knid"),
         (('kind = "surface"', 'kind = "sonar"'), "Known kinds: psr"),
         (("sac = 1", "sac = 300"), "sac = 300 is not within 0 … 255"),

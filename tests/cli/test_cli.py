@@ -82,6 +82,7 @@ def test_missing_empty_and_wrong_files(tmp_path: Path, sensors: Path) -> None:
 
 def test_bad_dates_and_editions(tmp_path: Path) -> None:
     assert "2016-05-10" in mistake("info", tmp_path, "--date", "10.5.2016")
+    assert "1970 … 2200" in mistake("info", tmp_path, "--date", "9999-12-31")
     assert "021=0.23" in mistake("info", tmp_path, "--edition", "0.23")
 
 

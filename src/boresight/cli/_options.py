@@ -39,12 +39,15 @@ def date_of(text: str | None) -> datetime.date | None:
     """``2016-05-10`` as a date; raises SettingsError with the form that is needed."""
     if text is None:
         return None
+    remedy = "It is the UTC date of the file's first record, as 2016-05-10."
     try:
-        return datetime.date.fromisoformat(text)
+        date = datetime.date.fromisoformat(text)
     except ValueError:
-        raise SettingsError(
-            f"{text!r} is not a date", where="--date", remedy="It is the UTC date of the file's first record, as 2016-05-10."
-        ) from None
+        raise SettingsError(f"{text!r} is not a date", where="--date", remedy=remedy) from None
+    # Stamps count from 1970, and arithmetic with days must stay within the calendar.
+    if not 1970 <= date.year <= 2200:
+        raise SettingsError(f"{text} lies outside 1970 … 2200", where="--date", remedy=remedy)
+    return date
 
 
 @contextmanager

@@ -1607,7 +1607,7 @@ def _remarks(records: Records) -> list[str]:
         back = -np.diff(times[np.isfinite(times)])
         if np.any(back > 0):
             out.append(
-                f"{np.count_nonzero(back > 0)} records of SAC/SIC {source >> 8}/{source & 255} are stamped before the one ahead "
+                f"{np.count_nonzero(back > 0):,} records of SAC/SIC {source >> 8}/{source & 255} are stamped before the one ahead "
                 f"of them (by up to {back.max():.3f} s); they were kept in the order of the file"
             )
     late = int(np.count_nonzero(records.fixes.time_sd_s == TRANSMISSION_SD_S))
