@@ -516,7 +516,8 @@ def check_sensors(sensors: Sensors, where: str = "sensors") -> None:
             value = getattr(s, name)
             if value is not None and not value > 0:
                 raise SettingsError(f"{name} = {value} must be positive", where=place)
-        for name in ("height_m", "height_msl_m", "geoid_m", "ground_height_m", "north_offset_deg", "time_offset_s", "min_range_m"):
+        heights = ("height_m", "height_msl_m", "geoid_m", "ground_height_m")
+        for name in (*heights, "north_offset_deg", "time_offset_s", "min_range_m"):
             value = getattr(s, name)
             if value is not None and not math.isfinite(value):
                 raise SettingsError(f"{name} = {value} is not a number", where=place)
