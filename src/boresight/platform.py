@@ -91,9 +91,7 @@ def about_platform(fixes: Fixes, platform: Platform, sensor: Sensor) -> tuple[Fi
     return seen, fixed, tuple(said)
 
 
-def fix_platforms(
-    plots: Plots, fixes: Fixes, platform: Platform, sensors: Sensors
-) -> tuple[Fixes, Sensors, tuple[str, ...]]:
+def fix_platforms(plots: Plots, fixes: Fixes, platform: Platform, sensors: Sensors) -> tuple[Fixes, Sensors, tuple[str, ...]]:
     """`about_platform` for the one moving radar among the plots; nothing changes where none moves.
 
     Raises SettingsError where a moving radar is mixed with others: each has a reference of its own then.

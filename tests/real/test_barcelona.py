@@ -85,9 +85,7 @@ def test_against_ads_b(data: Path, tmp_path: Path) -> None:
 
 
 def test_without_extent_the_confounding_is_said(data: Path, tmp_path: Path) -> None:
-    result = calibrate(
-        data, tmp_path, "mlat_cat010_160510-lebl-220001.ast", "--model", "range_bias,azimuth_bias,time_offset"
-    )
+    result = calibrate(data, tmp_path, "mlat_cat010_160510-lebl-220001.ast", "--model", "range_bias,azimuth_bias,time_offset")
     said = json.dumps(result, ensure_ascii=False)
     assert "extent" in said
     assert "time" in said

@@ -11,11 +11,12 @@ goes on where blocks fit together again.
 from __future__ import annotations
 
 import datetime
+import tempfile
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
@@ -43,6 +44,9 @@ _SAMPLE = 16
 _GAP_S = 3600.0
 # What is not known of the time of a position where only the report's transmission is stamped (METHODS section 6).
 TRANSMISSION_SD_S = 0.5
+# Digests of records that are held at once to find duplicates (32 MB), and the shares of those of longer recordings on disk.
+_HELD = 1 << 22
+_SHARES = 64
 
 # How a walk ended.
 _MORE, _FULL, _RECORD, _HEADER, _STRANGE, _PENDING, _CUT = range(7)
@@ -1321,22 +1325,11 @@ def read_asterix(
     Duplicated records and records out of order are kept and counted in the warnings.  Raises InputError where nothing at all
     could be read, and where the records do not fit the edition (with the one that they fit); SettingsError for an unknown one.
     """
-    reader = Reader.open(path, editions=editions, date=date, categories=categories, sources=sources)
-    given = dict(editions or {})
-    _check_editions(path, reader.sample, given)
-    parts = list(reader)
-    records = _join(parts)
-    if not len(records.offset):
-        raise _nothing(path, reader, records)
-    warnings = reader.remarks(date)
-    for category, edition in reader.state.editions.items():
-        if category not in given:
-            name = f"{category:03d}"
-            warnings.append(
-                f"category {name} was read as edition {edition}, inferred from the records (--edition {name}=… sets it)"
-            )
-    _check_positions(path, reader.sample, records, reader.state.editions)
-    warnings += _remarks(records)
+    stream = Stream.open(path, editions=editions, date=date, categories=categories, sources=sources)
+    reader = stream.reader
+    records = _join(list(reader))
+    stream.told.add(records)
+    stream.finish()
     return Recording(
         path=str(path),
         plots=records.plots,
@@ -1344,12 +1337,188 @@ def read_asterix(
         tracks=records.tracks,
         marks=records.marks,
         sources=_sources(records, reader.state.editions),
-        damaged=tuple(sorted((*records.damaged, *reader.tally.damaged), key=lambda d: d.offset)),
-        warnings=tuple(warnings),
+        damaged=stream.damaged,
+        warnings=stream.warnings,
         by_category={int(c): int(np.count_nonzero(records.category == c)) for c in np.unique(records.category)},
         offset=records.offset,
         receive_s=np.empty(0) if reader.kind == "raw" else records.receive_s,
     )
+
+
+@dataclass(slots=True)
+class Stream:
+    """A recording of ASTERIX part by part, so that memory does not grow with its length.
+
+    Iterating (once) gives `Records`; after the last part `damaged` and `warnings` are those that `read_asterix` would tell.
+    """
+
+    reader: Reader
+    date: datetime.date | None
+    given: dict[int, str]
+    told: _Told
+    damaged: tuple[Damage, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def open(
+        cls,
+        path: str | Path,
+        *,
+        editions: Mapping[int, str] | None = None,
+        date: datetime.date | None = None,
+        categories: Collection[int] | None = None,
+        sources: Collection[int] | None = None,
+    ) -> Stream:
+        """Look at a file; the arguments and the errors raised, here or while iterating, are those of `read_asterix`."""
+        reader = Reader.open(path, editions=editions, date=date, categories=categories, sources=sources)
+        given = dict(editions or {})
+        _check_editions(path, reader.sample, given)
+        return cls(reader, date, given, _Told())
+
+    def __iter__(self) -> Iterator[Records]:
+        for part in self.reader:
+            self.told.add(part)
+            yield part
+        self.finish()
+
+    def finish(self) -> None:
+        """After the last part: fill in what was damaged and the warnings.  Raises InputError as `read_asterix` does."""
+        reader, told = self.reader, self.told
+        if not told.records:
+            raise _nothing(reader.path, reader, told)
+        warnings = reader.remarks(self.date)
+        for category, edition in reader.state.editions.items():
+            if category not in self.given:
+                name = f"{category:03d}"
+                warnings.append(
+                    f"category {name} was read as edition {edition}, inferred from the records (--edition {name}=… sets it)"
+                )
+        _check_positions(reader.path, reader.sample, told, reader.state.editions)
+        self.warnings = (*warnings, *told.remarks())
+        self.damaged = tuple(sorted((*told.damaged, *reader.tally.damaged), key=lambda d: d.offset))
+
+
+@dataclass(slots=True)
+class _Digests:
+    """How many records are the same as another one.  Beyond `_HELD` of them their digests wait on disk, 64 shares of them."""
+
+    held: list[IntArray] = field(default_factory=list)
+    count: int = 0
+    shares: list[IO[bytes]] = field(default_factory=list)
+
+    def add(self, digest: IntArray) -> None:
+        self.held.append(digest)
+        self.count += len(digest)
+        if self.count <= _HELD:
+            return
+        if not self.shares:
+            self.shares = [tempfile.TemporaryFile() for _ in range(_SHARES)]
+        for part in self.held:
+            share = (part & (_SHARES - 1)).astype(np.uint8)
+            order = np.argsort(share, kind="stable")
+            ends = np.cumsum(np.bincount(share, minlength=_SHARES))[:-1]
+            for file, piece in zip(self.shares, np.split(part[order], ends), strict=True):
+                file.write(piece.tobytes())
+        self.held.clear()
+
+    def duplicates(self) -> int:
+        """The count; to be asked for once."""
+        count = _repeated(np.concatenate(self.held)) if self.held else 0
+        for file in self.shares:
+            with file:
+                file.seek(0)
+                count += _repeated(np.frombuffer(file.read(), np.int64))
+        return count
+
+
+def _repeated(digest: IntArray) -> int:
+    order = np.sort(digest)
+    return int(np.count_nonzero(order[1:] == order[:-1]))
+
+
+@dataclass(slots=True)
+class _Told:
+    """What is to be said of a recording, gathered part by part."""
+
+    records: int = 0
+    damaged: list[Damage] = field(default_factory=list)
+    unknown: dict[int, int] = field(default_factory=dict)
+    digests: _Digests = field(default_factory=_Digests)
+    clipped: int = 0
+    truncated: int = 0
+    untimed: int = 0
+    plane: int = 0
+    late: int = 0
+    # Of each source: how often a stamp goes back, by how much at most, and the last stamp.
+    back: dict[int, tuple[int, float, float]] = field(default_factory=dict)
+    # Of each category whose edition is inferred: positions that are not on Earth, and all of them.
+    places: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+    def add(self, records: Records) -> None:
+        """The next part."""
+        self.damaged += records.damaged
+        for category, count in records.unknown.items():
+            self.unknown[category] = self.unknown.get(category, 0) + count
+        self.digests.add(records.digest)
+        self.clipped += records.clipped
+        self.truncated += records.truncated
+        self.untimed += int(np.count_nonzero(np.isnan(records.time_s))) - records.truncated
+        self.plane += int(np.count_nonzero(np.isnan(records.tracks.latitude_rad) & np.isfinite(records.tracks.x_m)))
+        self.late += int(np.count_nonzero(records.fixes.time_sd_s == TRANSMISSION_SD_S))
+        for source in np.unique(records.source).tolist():
+            times = records.time_s[records.source == source]
+            times = times[np.isfinite(times)]
+            if not len(times):
+                continue
+            times_back, most, last = self.back.get(source, (0, 0.0, times[0]))
+            back = -np.diff(times, prepend=last)
+            self.back[source] = times_back + int(np.count_nonzero(back > 0)), max(most, float(back.max())), float(times[-1])
+        for table in (records.fixes, records.tracks):
+            if not len(table):
+                continue
+            sent = records.category[table.record - self.records]
+            for category in np.unique(sent).tolist():
+                if category not in uap.INFERRED:
+                    continue
+                latitude, longitude = table.latitude_rad[sent == category], table.longitude_rad[sent == category]
+                wrong, known = self.places.get(category, (0, 0))
+                wrong += int(np.count_nonzero((np.abs(latitude) > np.pi / 2) | (np.abs(longitude) > np.pi)))
+                self.places[category] = wrong, known + int(np.count_nonzero(np.isfinite(latitude)))
+        self.records += len(records.offset)
+
+    def remarks(self) -> list[str]:
+        """What a reader should know of records that were kept: categories passed over, duplicates, disorder, stamps."""
+        out = [
+            f"{n} blocks of category {category:03d} were passed over: it cannot be read" for category, n in self.unknown.items()
+        ]
+        duplicates = self.digests.duplicates()
+        if duplicates:
+            out.append(f"{duplicates} records are byte for byte the same as another one; they were kept")
+        if self.truncated:
+            out.append(
+                f"{self.truncated} records of category 001 tell only the rest of their time of day by 512 s, and nothing of their "
+                "source (I002/030) nor a time of reception completes it: their time is not known"
+            )
+        if self.plane:
+            out.append(
+                f"{self.plane} track states have a position only in their system's own plane (I062/100), not on the ellipsoid"
+            )
+        if self.clipped:
+            out.append(f"{self.clipped} positions are beyond what their item can hold: they are left out of the fixes")
+        if self.untimed:
+            out.append(f"{self.untimed} records have no time of day, or one beyond 24 hours: their time is not known")
+        for source, (count, most, _) in sorted(self.back.items()):
+            if count:
+                out.append(
+                    f"{count} records of SAC/SIC {source >> 8}/{source & 255} are stamped before the one ahead "
+                    f"of them (by up to {most:.3f} s); they were kept in the order of the file"
+                )
+        if self.late:
+            out.append(
+                f"{self.late} ADS-B reports tell only when the station sent them (I021/077), not when the position was valid: "
+                f"their time is taken as {TRANSMISSION_SD_S} s (sd) uncertain"
+            )
+        return out
 
 
 @dataclass(slots=True)
@@ -1501,7 +1670,7 @@ def _moved(records: Records, begin: IntArray, place: IntArray) -> Records:
     return replace(records, offset=move(records.offset), damaged=damaged)
 
 
-def _nothing(path: str | Path, reader: Reader, records: Records) -> InputError:
+def _nothing(path: str | Path, reader: Reader, told: _Told) -> InputError:
     """Why no record at all could be read."""
     if reader.state.categories is not None or reader.state.sources is not None:
         chosen = [f"{c:03d}" for c in sorted(reader.state.categories or ())]
@@ -1511,7 +1680,7 @@ def _nothing(path: str | Path, reader: Reader, records: Records) -> InputError:
         )
     if reader.kind != "raw":
         name = {"pcap": "this capture", "pcapng": "this capture"}.get(reader.kind, "this file")
-        worst = (*records.damaged, *reader.tally.damaged)[:1]
+        worst = (*told.damaged, *reader.tally.damaged)[:1]
         why = f": byte {worst[0].offset}: {worst[0].why}" if worst else ""
         return InputError(
             f"none of the {reader.tally.datagrams} datagrams of {name} could be read as ASTERIX{why}", path=path,
@@ -1527,10 +1696,10 @@ def _nothing(path: str | Path, reader: Reader, records: Records) -> InputError:
         return InputError(f"this is text ({lines[0].strip()!r} …), not ASTERIX", path=path, offset=0, remedy=remedy)
     if not head.any():
         return InputError("this is nothing but zeros, not ASTERIX", path=path, offset=0, remedy=remedy)
-    if records.unknown and not records.damaged:
-        found = ", ".join(f"{c:03d}" for c in records.unknown)
+    if told.unknown and not told.damaged:
+        found = ", ".join(f"{c:03d}" for c in told.unknown)
         return InputError(f"this holds only ASTERIX categories that cannot be read ({found})", path=path, remedy=remedy)
-    first = records.damaged[0] if records.damaged else Damage(0, "every block is empty")
+    first = told.damaged[0] if told.damaged else Damage(0, "every block is empty")
     return InputError(f"no ASTERIX record could be read: {first.why}", path=path, offset=first.offset, remedy=remedy)
 
 
@@ -1553,17 +1722,10 @@ def _check_editions(path: str | Path, data: ByteArray, given: Mapping[int, str])
             raise _other_edition(path, category, edition, best, "their lengths, positions or times do not make sense")
 
 
-def _check_positions(path: str | Path, data: ByteArray, records: Records, editions: Mapping[int, str]) -> None:
+def _check_positions(path: str | Path, data: ByteArray, told: _Told, editions: Mapping[int, str]) -> None:
     """Raise InputError where more than one position in a hundred is impossible: the edition must be another one."""
     for category, edition in editions.items():
-        if category not in uap.INFERRED:
-            continue
-        wrong = known = 0
-        for table in (records.fixes, records.tracks):
-            mine = records.category[table.record] == category
-            latitude, longitude = table.latitude_rad[mine], table.longitude_rad[mine]
-            known += int(np.count_nonzero(np.isfinite(latitude)))
-            wrong += int(np.count_nonzero((np.abs(latitude) > np.pi / 2) | (np.abs(longitude) > np.pi)))
+        wrong, known = told.places.get(category, (0, 0))
         if wrong > 0.01 * max(1, known):
             best, _ = _infer(data, _spread(data, category), category)
             raise _other_edition(path, category, edition, best, f"{wrong} of {known} positions are not on Earth")
@@ -1578,45 +1740,6 @@ def _other_edition(path: str | Path, category: int, edition: str, best: str, wha
         f"the records of category {name} are not of edition {edition} ({what}); they fit edition {best}", path=path,
         remedy=f"Give --edition {name}={best}, or none to have it inferred.",
     )  # fmt: skip
-
-
-def _remarks(records: Records) -> list[str]:
-    """What a reader should know of records that were kept: categories passed over, duplicates, disorder, stamps."""
-    out = [
-        f"{n} blocks of category {category:03d} were passed over: it cannot be read" for category, n in records.unknown.items()
-    ]
-    order = np.sort(records.digest)
-    duplicates = int(np.count_nonzero(order[1:] == order[:-1]))
-    if duplicates:
-        out.append(f"{duplicates} records are byte for byte the same as another one; they were kept")
-    if records.truncated:
-        out.append(
-            f"{records.truncated} records of category 001 tell only the rest of their time of day by 512 s, and nothing of their "
-            "source (I002/030) nor a time of reception completes it: their time is not known"
-        )
-    plane = int(np.count_nonzero(np.isnan(records.tracks.latitude_rad) & np.isfinite(records.tracks.x_m)))
-    if plane:
-        out.append(f"{plane} track states have a position only in their system's own plane (I062/100), not on the ellipsoid")
-    if records.clipped:
-        out.append(f"{records.clipped} positions are beyond what their item can hold: they are left out of the fixes")
-    untimed = int(np.count_nonzero(np.isnan(records.time_s))) - records.truncated
-    if untimed:
-        out.append(f"{untimed} records have no time of day, or one beyond 24 hours: their time is not known")
-    for source in np.unique(records.source).tolist():
-        times = records.time_s[records.source == source]
-        back = -np.diff(times[np.isfinite(times)])
-        if np.any(back > 0):
-            out.append(
-                f"{np.count_nonzero(back > 0):,} records of SAC/SIC {source >> 8}/{source & 255} are stamped before the one ahead "
-                f"of them (by up to {back.max():.3f} s); they were kept in the order of the file"
-            )
-    late = int(np.count_nonzero(records.fixes.time_sd_s == TRANSMISSION_SD_S))
-    if late:
-        out.append(
-            f"{late} ADS-B reports tell only when the station sent them (I021/077), not when the position was valid: "
-            f"their time is taken as {TRANSMISSION_SD_S} s (sd) uncertain"
-        )
-    return out
 
 
 def _sources(records: Records, editions: Mapping[int, str]) -> tuple[Source, ...]:

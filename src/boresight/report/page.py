@@ -166,7 +166,12 @@ def render(
     drawn = _Numbered()
     sections = [
         _section(
-            calibration, summary, residuals[residuals.sensor == summary.sensor], sensors, truth.get(summary.name, {}), drawn,
+            calibration,
+            summary,
+            residuals[residuals.sensor == summary.sensor],
+            sensors,
+            truth.get(summary.name, {}),
+            drawn,
             targets or {},
         )
         for summary in calibration.sensors
