@@ -233,7 +233,7 @@ def fit(seen: Observed, terms: Sequence[Term], settings: LeastSquares) -> Fit:
         bad = _rank_deficient(sample, layout, chosen, start, settings)
         if bad is None:
             state, reduced, weight = _iterate(seen, layout, some, kind, chosen, start, settings)
-            bad = _inseparable(reduced.terms, chosen, settings)
+            bad = _inseparable(reduced.terms * state.trust[:, None, None], chosen, settings)
         if bad is None:
             break
         dropped.append(bad)
@@ -500,22 +500,17 @@ def _products(
         present = np.isfinite(piece.residual)
         r = np.where(present, piece.residual, 0.0)
         robust = _row_weights(r / (np.sqrt(piece.variance) * state.spread), present, settings, convex=False)
-        count += robust.sum(axis=0)
+        count += state.trust[seen.cluster[piece.rows]] @ robust
         if weight_out is not None:
             weight_out[piece.rows] = robust[:, 0]
         noise = (state.variances if plain is None else plain).noise[:c]
         own = noise / seen.weight[piece.rows, None] + state.reference_share * seen.reference_variance[piece.rows, :c]
         w = robust * noise / own if plain is None else robust / piece.variance
-        # What belongs to a whole target scales its terms and residuals, not its effects.
-        target = np.searchsorted(layout.target_block, np.arange(lo, hi), side="right") - 1
-        factor = np.broadcast_to(scale, (hi - lo, len(scale))).copy()
-        factor[:, len(effects) :] *= np.sqrt(state.trust[target])[:, None]
         for k in range(c):
             columns = [np.ascontiguousarray(piece.columns[name][:, k]) for name in names]
             gram = _grams([*columns, r[:, k]], w[:, k], starts)
             mine = out[k, lo - begin : hi - begin]
-            np.multiply(gram[:, index[:, None], index], factor[:, :, None], out=mine)
-            mine *= factor[:, None, :]
+            np.multiply(gram[:, index[:, None], index], np.outer(scale, scale), out=mine)
             if plain is not None:
                 added = _grams(columns, w[:, k] ** 2 * own[:, k], starts)
                 meat[lo - begin : hi - begin] += added[:, own_x[:, None], own_x] * np.outer(prior_sd, prior_sd)
@@ -526,7 +521,7 @@ def _products(
         mixed.Level(groups[1], layout.long[first_long:last_long] - begin),
         mixed.Level(groups[2], layout.target[targets[0] : targets[1]] - first_long),
     )
-    return mixed.Products(out, np.maximum(count, 1e-9), levels, p), meat
+    return mixed.Products(out, np.maximum(count, 1e-9), levels, p, state.trust[targets[0] : targets[1]]), meat
 
 
 def _batches(layout: _Layout) -> list[tuple[int, int]]:
@@ -607,13 +602,13 @@ def _iterate(
         products, _ = _products(part, part_layout, terms, state, settings, every, pieces)
         variances = mixed.estimate(products, state.variances, prior, at, guess, steps=30 if number == 0 else 8)
         reduced = mixed.reduce(products, variances)
-        solution = mixed.solve(reduced.terms, prior, at)
+        solution = mixed.solve(reduced.terms * state.trust[:, None, None], prior, at)
         state = _State(
             state.value + solution.value * prior_sd,
             variances,
             state.reference_share,
             state.spread,
-            _trust(reduced, solution, state.trust, settings),
+            _trust(reduced, solution, settings),
         )
         settled = np.all(np.abs(variances.noise / noise_before - 1) <= 0.02)
         if number >= 2 and settled and np.all(np.abs(solution.value) <= 0.02 * np.sqrt(np.diag(solution.covariance))):
@@ -624,12 +619,8 @@ def _iterate(
     weight = np.empty(len(seen))
     reduced = _all_reduced(seen, layout, terms, state, settings, weight)
     if len(which) < len(trust):
-        # The others' trust was not known yet; it scales what they say.
-        trust = _trust(reduced, mixed.solve(reduced.terms, prior, state.value / prior_sd), state.trust, settings)
-        more, w = trust / state.trust, reduced.effects.shape[1]
-        effects = reduced.effects.copy()
-        effects[:, :, w:] *= np.sqrt(more)[:, None, None]
-        reduced = mixed.Reduced(reduced.terms * more[:, None, None], effects)
+        # The others' trust was not known yet.
+        trust = _trust(reduced, mixed.solve(reduced.terms * trust[:, None, None], prior, state.value / prior_sd), settings)
         state = replace(state, trust=trust)
     return state, reduced, weight
 
@@ -645,12 +636,12 @@ def _spread(pieces: Sequence[_Piece]) -> FloatArray:
     return np.asarray(np.maximum(out, 0.25))
 
 
-def _trust(reduced: mixed.Reduced, solution: mixed.Solution, old: FloatArray, settings: LeastSquares) -> FloatArray:
+def _trust(reduced: mixed.Reduced, solution: mixed.Solution, settings: LeastSquares) -> FloatArray:
     """The weight (G,) of each target: one whose own effects are far from what the others have (a wrong pairing, a broken
     transponder) loses it.  With fewer than 8 targets there are no others to tell by."""
     w = reduced.effects.shape[1]
-    if len(old) < 8:
-        return old
+    if len(reduced.terms) < 8:
+        return np.ones(len(reduced.terms))
     p = len(solution.value)
     inner = reduced.effects[:, :, :w]
     score = reduced.effects[:, :, w + p] - reduced.effects[:, :, w : w + p] @ solution.value
@@ -658,8 +649,7 @@ def _trust(reduced: mixed.Reduced, solution: mixed.Solution, old: FloatArray, se
     inverse = np.linalg.pinv(inner / scale[:, :, None] / scale[:, None, :], rcond=1e-6, hermitian=True)
     rank = np.maximum(np.linalg.matrix_rank(inner / scale[:, :, None] / scale[:, None, :], tol=1e-6, hermitian=True), 1)
     score = score / scale
-    # The score was made with the square root of the old trust on its residual.
-    square = np.einsum("gi,gij,gj->g", score, inverse, score) / np.maximum(old, 1e-12)
+    square = np.einsum("gi,gij,gj->g", score, inverse, score)
     # Chi-squared to normal (Wilson and Hilferty 1931).
     normal = ((square / rank) ** (1 / 3) - (1 - 2 / (9 * rank))) / np.sqrt(2 / (9 * rank))
     return np.maximum(_robust(np.maximum(normal, 0.0), settings), 1e-6)
@@ -795,11 +785,14 @@ def _finish(
     w = reduced.effects.shape[1]
     notes = []
     at = state.value / prior_sd
-    step = mixed.solve(reduced.terms, prior, at).value
-    scores = mixed.Scores(reduced.terms, reduced.terms[:, :p, :p])
-    honest = mixed.honest_covariance(scores, prior, step)
-    influence = reduced.effects[:, :, w : w + p]
     trusted = state.trust
+    terms_of_targets = reduced.terms * trusted[:, None, None]
+    step = mixed.solve(terms_of_targets, prior, at).value
+    scores = mixed.Scores(terms_of_targets, terms_of_targets[:, :p, :p])
+    honest = mixed.honest_covariance(scores, prior, step)
+    effects = reduced.effects * trusted[:, None, None]
+    influence = effects[:, :, w : w + p]
+    own_scores = effects[:, :, w + p] - effects[:, :, w : w + p] @ step
 
     plain_weight = np.empty(len(seen))
     plain, plain_influence = _plain(seen, layout, terms, start, state.variances, settings, plain_weight)
@@ -840,8 +833,8 @@ def _finish(
         effective=honest.targets,
         effect_names=tuple(e.term for e in layout.effects[-1]),
         effect_variance=state.variances.effects[-1][layout.groups[-1]],
-        scores=reduced.effects[:, :, w + p] - reduced.effects[:, :, w : w + p] @ mixed.solve(reduced.terms, prior, at).value,
-        information=reduced.effects[:, :, :w],
+        scores=own_scores,
+        information=effects[:, :, :w],
         influence=influence / prior_sd,
         held_out=(at + _held_out(scores.terms, at, layout)) * prior_sd,
         dropped=tuple(dropped),

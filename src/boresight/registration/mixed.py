@@ -43,13 +43,15 @@ class Products(NamedTuple):
     """Cross products of the columns ``[Z0 | Z1 | Z2 | X | r]`` (width c) of one sensor.
 
     `channel` (2 or 3, B, c, c) holds ``M' diag(w) M`` for each channel (range, azimuth, elevation) and short block, `plots`
-    (2 or 3,) the sum of the weights; `levels` goes from short blocks to targets; `terms` is p.
+    (2 or 3,) the sum of the weights, times their target's trust; `levels` goes from short blocks to targets; `terms` is p.
+    `trust` (G,) is how much each target counts, 0 … 1: the power of its likelihood.
     """
 
     channel: FloatArray
     plots: FloatArray
     levels: tuple[Level, ...]
     terms: int
+    trust: FloatArray
 
 
 class Variances(NamedTuple):
@@ -63,7 +65,7 @@ class Reduced(NamedTuple):
     """What is left of each target once its effects are integrated out; targets of several batches are simply stacked.
 
     `terms` (G, p + 1, p + 1) is ``[X r]' V^-1 [X r]``; `effects` (G, w, w + p + 1) is ``Z' V^-1 [Z X r]`` of the targets' own
-    effects.
+    effects.  Neither holds the targets' trust yet.
     """
 
     terms: FloatArray
@@ -173,7 +175,11 @@ def _improve(products: Products, variances: Variances, prior: FloatArray, at: Fl
     """One step of the variance components."""
     p, levels = products.terms, products.levels
     rungs, reduced, _ = _upwards(products, variances, keep=True)
-    value, covariance = solve(reduced, prior, at)
+    value, covariance = solve(reduced * products.trust[:, None, None], prior, at)
+    # What each group of each level counts: as much as its target.
+    counts = [products.trust]
+    for rung in reversed(rungs[:-1]):
+        counts.insert(0, counts[0][rung.parent])
     belief = _GUESS_TARGETS * max(0.0, 1.0 - (len(reduced) - 1) / _ENOUGH_TARGETS)
 
     # Effects: what the residuals hold of each over what the model expects.
@@ -190,8 +196,8 @@ def _improve(products: Products, variances: Variances, prior: FloatArray, at: Fl
             own -= ((cross @ rungs[higher].kernel[index]) * cross).sum(axis=2)
             score = score[:, :, w2:] - cross @ rungs[higher].gain[index][:, :, w2:]
         x = score[:, :, :p]
-        up = ((score[:, :, p] - x @ value) ** 2).sum(axis=0)
-        down = (own - ((x @ covariance) * x).sum(axis=2)).sum(axis=0)
+        up = counts[number] @ (score[:, :, p] - x @ value) ** 2
+        down = counts[number] @ (own - ((x @ covariance) * x).sum(axis=2))
         old, typical = variances.effects[number], guess.effects[number]
         old = np.maximum(old, 1e-12 * typical)
         more, less = belief * typical / old**2, belief / old
@@ -222,8 +228,8 @@ def _improve(products: Products, variances: Variances, prior: FloatArray, at: Fl
     # Noise: squares of what is left over the plots less the effective number of parameters.
     noise = variances.noise.copy()
     for k, m in enumerate(products.channel):
-        squares = ((m @ tail[:, :, None])[:, :, 0] * tail).sum()
-        used = (inner * m[:, :-1, :-1]).sum() / variances.noise[k]
+        squares = float(counts[0] @ ((m @ tail[:, :, None])[:, :, 0] * tail).sum(axis=1))
+        used = float(counts[0] @ (inner * m[:, :-1, :-1]).sum(axis=(1, 2))) / float(variances.noise[k])
         left = max(products.plots[k] - used, 0.05 * products.plots[k])
         noise[k] = (max(squares, 0.0) + _GUESS_PLOTS * guess.noise[k]) / (left + _GUESS_PLOTS)
     return Variances(noise, tuple(new_effects))
