@@ -10,6 +10,14 @@ from pathlib import Path
 from .errors import InputError
 
 
+def check_place(target: Path) -> None:
+    """Raise InputError where `target` cannot become a file: it is a folder, or its own folder does not exist."""
+    if target.is_dir():
+        raise InputError("is a folder, not a file", path=target, remedy="Give the name of a file to write.")
+    if not target.parent.is_dir():
+        raise InputError(f"the folder {target.parent} does not exist", path=target, remedy="Make it first, or write elsewhere.")
+
+
 @contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
     """Give a temporary path beside `path` to write to, and rename it to `path` when all went well.
@@ -18,10 +26,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
     a missing folder or a forbidden one raises InputError with the path and the remedy.
     """
     target = Path(path)
-    if target.is_dir():
-        raise InputError("is a folder, not a file", path=target, remedy="Give the name of a file to write.")
-    if not target.parent.is_dir():
-        raise InputError(f"the folder {target.parent} does not exist", path=target, remedy="Make it first, or write elsewhere.")
+    check_place(target)
     beside = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         yield beside

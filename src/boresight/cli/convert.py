@@ -29,6 +29,8 @@ def convert(
 ) -> None:
     """Write a recording in another format: Parquet, CSV, GeoJSON, KML, ASTERIX or NMEA.
 
+    ASTERIX of any length goes to Parquet and CSV part by part, within 1 GB of memory; all else is held in memory as a whole.
+
     Parameters
     ----------
     recording
@@ -56,30 +58,41 @@ def convert(
     """
     import msgspec
 
-    from ..model import load_sensors
-    from ..reading import read
+    from ..model import Recording, load_sensors
+    from ..reading import is_asterix, read
+    from ..reading.asterix import Stream
     from ..reading.tables import read_table
-    from ..writing.anyfile import ENDINGS, files_for, write_any
+    from ..writing.anyfile import ENDINGS, files_for, write_any, write_parts
 
     # The ending is looked at before a long file is read.
     if out.suffix.lower() not in ENDINGS:
         raise SettingsError(f"{out} ends in none of {' '.join(ENDINGS)}", where="OUT")
     known = load_sensors(sensors) if sensors is not None else None
+    inputs = [p.resolve() for p in (recording, sensors, columns) if p is not None]
+
+    def check(file: Path) -> None:
+        if file.resolve() in inputs:
+            raise SettingsError(f"{file} is one of the inputs, which are never written to", where="OUT")
+        if file.exists() and not overwrite:
+            raise SettingsError(f"{file} exists", where="OUT", remedy="Name another file, or add --overwrite.")
+
+    day, own = date_of(date), _sac_sic(source)
+    table: Recording | Stream
     with steps(quiet=json) as step:
-        step(f"reading {recording}")
-        day = date_of(date)
-        if columns is not None:
-            table = read_table(recording, columns, date=day)
+        if columns is None and out.suffix.lower() in (".parquet", ".csv") and is_asterix(recording):
+            step(f"converting {recording}")
+            table = Stream.open(recording, editions=editions_of(edition), date=day)
+            written = write_parts(out, table, name=str(recording), kind=kind, check=check)
         else:
-            table = read(recording, editions=editions_of(edition), date=day)
-        inputs = [p.resolve() for p in (recording, sensors, columns) if p is not None]
-        for file in files_for(out, table, kind=kind):
-            if file.resolve() in inputs:
-                raise SettingsError(f"{file} is one of the inputs, which are never written to", where="OUT")
-            if file.exists() and not overwrite:
-                raise SettingsError(f"{file} exists", where="OUT", remedy="Name another file, or add --overwrite.")
-        step(f"writing {out}")
-        written = write_any(out, table, sensors=known, kind=kind, lines=lines, source=_sac_sic(source))
+            step(f"reading {recording}")
+            if columns is not None:
+                table = read_table(recording, columns, date=day)
+            else:
+                table = read(recording, editions=editions_of(edition), date=day)
+            for file in files_for(out, table, kind=kind):
+                check(file)
+            step(f"writing {out}")
+            written = write_any(out, table, sensors=known, kind=kind, lines=lines, source=own)
     if json:
         print_json(
             {

@@ -10,7 +10,7 @@ from pathlib import Path
 from ..errors import InputError
 from ..model import Recording
 
-__all__ = ["read", "sha256_of"]
+__all__ = ["is_asterix", "read", "sha256_of"]
 
 _HEAD = 1 << 16
 
@@ -62,6 +62,19 @@ def read(
     if looks_like_table(head):
         return read_table(path, date=date)
     return read_asterix(path, editions=editions, date=date, categories=categories, sources=sources)
+
+
+def is_asterix(path: str | Path) -> bool:
+    """Whether `read` would take a file for ASTERIX: it is none of the other formats.  Raises InputError as it does."""
+    from .nmea import looks_like_nmea
+    from .reference import looks_like_autoferry, looks_like_opensky, looks_like_rtklib
+    from .tables import looks_like_table
+
+    if Path(path).is_dir():
+        return False
+    head = _head(path)
+    others = (looks_like_autoferry, looks_like_rtklib, looks_like_nmea, looks_like_opensky, looks_like_table)
+    return not any(looks_like(head) for looks_like in others)
 
 
 def _head(path: str | Path) -> bytes:

@@ -1376,10 +1376,13 @@ class Stream:
         return cls(reader, date, given, _Told())
 
     def __iter__(self) -> Iterator[Records]:
-        for part in self.reader:
-            self.told.add(part)
-            yield part
-        self.finish()
+        try:
+            for part in self.reader:
+                self.told.add(part)
+                yield part
+            self.finish()
+        finally:
+            self.told.digests.close()
 
     def finish(self) -> None:
         """After the last part: fill in what was damaged and the warnings.  Raises InputError as `read_asterix` does."""
@@ -1412,7 +1415,7 @@ class _Digests:
         if self.count <= _HELD:
             return
         if not self.shares:
-            self.shares = [tempfile.TemporaryFile() for _ in range(_SHARES)]
+            self.shares = [tempfile.TemporaryFile() for _ in range(_SHARES)]  # noqa: SIM115 (`close` closes them)
         for part in self.held:
             share = (part & (_SHARES - 1)).astype(np.uint8)
             order = np.argsort(share, kind="stable")
@@ -1425,10 +1428,15 @@ class _Digests:
         """The count; to be asked for once."""
         count = _repeated(np.concatenate(self.held)) if self.held else 0
         for file in self.shares:
-            with file:
-                file.seek(0)
-                count += _repeated(np.frombuffer(file.read(), np.int64))
+            file.seek(0)
+            count += _repeated(np.frombuffer(file.read(), np.int64))
+        self.close()
         return count
+
+    def close(self) -> None:
+        """Let go of what waits on disk."""
+        for file in self.shares:
+            file.close()
 
 
 def _repeated(digest: IntArray) -> int:
@@ -1496,8 +1504,8 @@ class _Told:
             out.append(f"{duplicates} records are byte for byte the same as another one; they were kept")
         if self.truncated:
             out.append(
-                f"{self.truncated} records of category 001 tell only the rest of their time of day by 512 s, and nothing of their "
-                "source (I002/030) nor a time of reception completes it: their time is not known"
+                f"{self.truncated} records of category 001 tell only the rest of their time of day by 512 s, and nothing of "
+                "their source (I002/030) nor a time of reception completes it: their time is not known"
             )
         if self.plane:
             out.append(

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from ..errors import NothingToDo, SettingsError
+from .._files import check_place
+from ..errors import InputError, NothingToDo, SettingsError
 from ..model import Fixes, Recording, Sensors
 from .features import tables_of
 
@@ -43,6 +46,11 @@ def files_for(path: str | Path, recording: Recording, *, kind: str | None = None
     recording holds nothing of it.
     """
     path = Path(path)
+    _check(path, kind)
+    return _planned(path, recording.path, list(tables_of(recording)), kind)
+
+
+def _check(path: Path, kind: str | None) -> None:
     ending = path.suffix.lower()
     if ending not in ENDINGS:
         raise SettingsError(
@@ -52,18 +60,22 @@ def files_for(path: str | Path, recording: Recording, *, kind: str | None = None
         )
     if kind is not None and kind not in (*KINDS, "all"):
         raise SettingsError(f"{kind!r} is no kind of table", where="kind", remedy=f"Kinds: {', '.join(KINDS)}, all.")
-    held = list(tables_of(recording))
+
+
+def _planned(path: Path, name: str, held: list[str], kind: str | None) -> dict[Path, tuple[str, ...]]:
+    """As `files_for`, of the tables that are held."""
+    ending = path.suffix.lower()
     if kind not in (None, "all"):
         if kind not in held:
             there = f"it holds {', '.join(held)}" if held else "it is empty"
-            raise NothingToDo(f"{recording.path} holds no {kind}: {there}", remedy="Choose another kind.")
+            raise NothingToDo(f"{name} holds no {kind}: {there}", remedy="Choose another kind.")
         held = [kind]
     fitting = [k for k in held if k in ENDINGS[ending]]
     if not fitting:
         what = (
             f"holds only {', '.join(held)}, which {ending} cannot hold" if held else "holds no plots, fixes, tracks or positions"
         )
-        raise NothingToDo(f"{recording.path} {what}", remedy="Choose another format." if held else "Is it the right file?")
+        raise NothingToDo(f"{name} {what}", remedy="Choose another format." if held else "Is it the right file?")
     if ending not in _SEPARATE:
         return {path: tuple(fitting)}
     if len(fitting) == 1:
@@ -71,7 +83,7 @@ def files_for(path: str | Path, recording: Recording, *, kind: str | None = None
     if kind == "all":
         return {path.with_name(f"{path.stem}-{k}{path.suffix}"): (k,) for k in fitting}
     raise SettingsError(
-        f"{recording.path} holds {', '.join(fitting)}, and {ending} holds one table",
+        f"{name} holds {', '.join(fitting)}, and {ending} holds one table",
         where="kind",
         remedy=f"Choose one of them, or all: then {path.stem}-{fitting[0]}{path.suffix} and so on are written.",
     )
@@ -140,6 +152,59 @@ def write_any(
         plots = named.get("plots")
         left |= write_asterix(path, plots, fixes, category=_category(recording, plots)).left_out
     return Converted(tuple(str(f) for f in plan), rows, left)
+
+
+def write_parts(
+    path: str | Path,
+    parts: Iterable[Any],
+    *,
+    name: str,
+    kind: str | None = None,
+    check: Callable[[Path], None] = lambda _: None,
+) -> Converted:
+    """As `write_any` for Parquet and CSV, from parts that come one behind the other: memory does not grow with their number.
+
+    Each part has tables as attributes: plots, fixes, tracks, platform.  `name` is what they come from, for messages.  The files
+    are those that the joined tables would give.  Until all parts are there they wait in a folder beside `path`, which is removed
+    in any case; `check` is asked for each file before it is put in its place, and may raise.
+
+    Raises what `write_any` does; that a choice of table is missing is said as soon as a second table turns up.
+    """
+    from .tables import Pieces
+
+    path = Path(path)
+    _check(path, kind)
+    ending = path.suffix.lower()
+    if ending not in _SEPARATE:
+        raise SettingsError(f"{ending} is not written part by part", where="out", remedy=f"These are: {', '.join(_SEPARATE)}.")
+    check_place(path)
+    if kind != "all":
+        check(path)
+    try:
+        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+            pieces: dict[str, Pieces] = {}
+            for part in parts:
+                for one in KINDS:
+                    table = getattr(part, one, ())
+                    if not len(table):
+                        continue
+                    if one not in pieces:
+                        pieces[one] = Pieces(Path(folder), one, ending == ".csv")
+                        if kind is None:
+                            _planned(path, name, [k for k in KINDS if k in pieces], kind)
+                    if kind in (None, "all", one):
+                        pieces[one].append(table)
+            plan = _planned(path, name, [k for k in KINDS if k in pieces], kind)
+            for file in plan:
+                check(file)
+            for file, (one,) in plan.items():
+                pieces[one].publish(file)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise InputError(
+            f"cannot be written ({why})", path=path, remedy="Nothing was changed; free some space or write elsewhere."
+        ) from error
+    return Converted(tuple(str(f) for f in plan), {one: pieces[one].rows for (one,) in plan.values()}, {})
 
 
 def _with_source(table: Any, source: int | None) -> Any:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,39 +31,121 @@ def write_table(path: str | Path, table: Any) -> int:
 
     Raises InputError for another ending, for columns of unequal length, and where the file cannot be written.
     """
-    import duckdb
-
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in (".parquet", ".csv"):
         raise InputError(f"the ending {kind or '(none)'} is no table format", path=path, remedy="Name it .parquet or .csv.")
-    columns = dict(_columns(table))
-    lengths = {name: len(values) for name, values in columns.items()}
-    if not columns or len(set(lengths.values())) != 1:
-        raise InputError(f"a table needs columns of one length, these have {lengths}", path=path)
-    source: dict[str, AnyArray] = {}
-    chosen: list[str] = []
-    for number, (name, values) in enumerate(columns.items()):
-        inner = f"c{number}"
-        source[inner], expression, outer = _outward(name, values, inner, csv=kind == ".csv")
-        chosen.append(f"{expression} AS {_quoted(outer)}")
-    options = "FORMAT parquet, COMPRESSION zstd" if kind == ".parquet" else "FORMAT csv, HEADER true"
-    # One thread: the same table must give the same bytes.  No extension is ever fetched.
+    with atomic(path) as beside, _connected() as connection:
+        return _copy(connection, table, beside, csv=kind == ".csv")
+
+
+# Rows of a piece of a long table: two row groups of Parquet, so that the file is the one that is written at once.
+PIECE = 2 * 122_880
+
+
+@dataclass(slots=True)
+class Pieces:
+    """A long table that comes part by part: `append` them, then `publish` the file, which is the one `write_table` makes.
+
+    What has come waits in `folder`, which is the caller's to remove, in files whose names begin with `name`.
+    """
+
+    folder: Path
+    name: str
+    csv: bool
+    rows: int = 0
+    count: int = 0
+    held: list[Any] = field(default_factory=list)
+    waiting: int = 0
+
+    def append(self, table: Any) -> None:
+        """The next rows: a table of the same class as those before."""
+        self.held.append(table)
+        self.waiting += len(table)
+        self.rows += len(table)
+        if self.waiting < PIECE:
+            return
+        joined = type(table).concat(self.held)
+        whole = self.waiting - self.waiting % PIECE
+        for begin in range(0, whole, PIECE):
+            self._write(joined[begin : begin + PIECE])
+        self.held, self.waiting = ([joined[whole:]], self.waiting - whole) if whole < self.waiting else ([], 0)
+
+    def publish(self, path: Path) -> None:
+        """Make the file, as a whole or not at all.  Raises InputError as `atomic` does."""
+        rest = type(self.held[0]).concat(self.held) if self.held else None
+        self.held, self.waiting = [], 0
+        if rest is not None and not self.count:
+            write_table(path, rest)
+            return
+        if rest is not None:
+            self._write(rest)
+        with atomic(path) as beside:
+            if self.csv:
+                os.replace(self.folder / f"{self.name}.csv", beside)
+                return
+            pieces = ", ".join(_text(self.folder / f"{self.name}-{k}.parquet") for k in range(self.count))
+            with _connected() as connection:
+                _run(connection, f"COPY (SELECT * FROM read_parquet([{pieces}])) TO {_text(beside)} ({_PARQUET})")
+
+    def _write(self, table: Any) -> None:
+        with _connected() as connection:
+            if not self.csv:
+                # Read once and thrown away: quickly rather than well compressed.
+                _copy(connection, table, self.folder / f"{self.name}-{self.count}.parquet", compression="snappy")
+            else:
+                piece = self.folder / f"{self.name}-piece.csv"
+                _copy(connection, table, piece, csv=True, header=self.count == 0)
+                with open(piece, "rb") as file, open(self.folder / f"{self.name}.csv", "ab") as out:
+                    shutil.copyfileobj(file, out, 1 << 20)
+        self.count += 1
+
+
+_PARQUET = "FORMAT parquet, COMPRESSION zstd"
+
+
+def _connected() -> Any:
+    """A database of its own.  One thread: the same table must give the same bytes.  No extension is ever fetched."""
+    import duckdb
+
     settings: dict[str, str | bool | int | float | list[str]] = {
         "threads": 1,
         "memory_limit": "1GB",
         "autoload_known_extensions": False,
         "autoinstall_known_extensions": False,
     }
-    with atomic(path) as beside, duckdb.connect(":memory:", config=settings) as connection:
-        connection.register("source", source)
-        try:
-            connection.execute(
-                f"COPY (SELECT {', '.join(chosen)} FROM source) TO '{str(beside).replace(chr(39), chr(39) * 2)}' ({options})"
-            )
-        except duckdb.IOException as error:
-            raise OSError(str(error).splitlines()[0]) from error
+    return duckdb.connect(":memory:", config=settings)
+
+
+def _copy(connection: Any, table: Any, to: Path, *, csv: bool = False, header: bool = True, compression: str = "zstd") -> int:
+    """Write a table to `to` and return its number of rows."""
+    columns = dict(_columns(table))
+    lengths = {name: len(values) for name, values in columns.items()}
+    if not columns or len(set(lengths.values())) != 1:
+        raise InputError(f"a table needs columns of one length, these have {lengths}", path=to)
+    source: dict[str, AnyArray] = {}
+    chosen: list[str] = []
+    for number, (name, values) in enumerate(columns.items()):
+        inner = f"c{number}"
+        source[inner], expression, outer = _outward(name, values, inner, csv=csv)
+        chosen.append(f"{expression} AS {_quoted(outer)}")
+    options = f"FORMAT csv, HEADER {str(header).lower()}" if csv else f"FORMAT parquet, COMPRESSION {compression}"
+    connection.register("source", source)
+    _run(connection, f"COPY (SELECT {', '.join(chosen)} FROM source) TO {_text(to)} ({options})")
     return next(iter(lengths.values()))
+
+
+def _run(connection: Any, command: str) -> None:
+    import duckdb
+
+    try:
+        connection.execute(command)
+    except duckdb.IOException as error:
+        raise OSError(str(error).splitlines()[0]) from error
+
+
+def _text(path: Path) -> str:
+    return "'" + str(path).replace("'", "''") + "'"
 
 
 def _columns(table: Any) -> Iterator[tuple[str, AnyArray]]:
