@@ -4,6 +4,9 @@
 
 An hour of eight Mode S radars (4 s, 240 km) is simulated once and laid 24 times behind itself, with stamps over a whole day, into
 one CAT048 file.  That is not timed.  Then the command runs in a process of its own, whose peak memory is the kernel's word on it.
+
+Measured on two cores shared with other work: 8,000,000 plots in 30 s, peak 514 MB; 20,000,000 in 63 s (320,000 plots/s, 607 MB of
+CAT048 to 299 MB of Parquet), peak 790 MB.  The whole day has not been measured yet.
 """
 
 from __future__ import annotations

