@@ -92,7 +92,7 @@ def one(name: str, seed: int) -> dict[str, list[float]]:
             scale = np.sqrt(np.diag(covariance))
             nees = float(error / scale @ np.linalg.solve(covariance / np.outer(scale, scale), error / scale)) / p
             out[candidate].append((nees, *(error / scale)))
-        found.append(_Found(seen, fitted, None, []))  # type: ignore[arg-type]
+        found.append(_Found(seen, fitted, None, []))
         off.append(error)
     joint = _joint(found)
     error = np.concatenate(off)

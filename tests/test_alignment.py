@@ -66,7 +66,7 @@ def _fixes(position: np.ndarray, time: np.ndarray, target: np.ndarray, sd: float
         "latitude_rad": lat, "longitude_rad": lon, "height_m": height,
         "horizontal_sd_m": np.full(n, sd), "vertical_sd_m": np.full(n, sd),
     }  # fmt: skip
-    return Fixes(**(given | columns))  # type: ignore[arg-type]
+    return Fixes(**(given | columns))
 
 
 def _traffic(
@@ -310,7 +310,7 @@ def test_settings_that_make_no_sense_are_refused() -> None:
     with pytest.raises(SettingsError, match="positive"):
         alignment.trajectories(fixes, max_gap_s=0.0)
     with pytest.raises(InputError, match="Cartesian"):
-        alignment.trajectories(Fixes(time_s=[0.0], x_m=[1.0], y_m=[2.0], mode_s=[7]))  # type: ignore[arg-type]
+        alignment.trajectories(Fixes(time_s=[0.0], x_m=[1.0], y_m=[2.0], mode_s=[7]))
 
 
 def test_order_duplicates_and_nan_do_not_change_the_answer() -> None:
@@ -394,8 +394,8 @@ def test_of_two_sources_the_better_one_answers() -> None:
 
 
 def _named(**columns: object) -> Fixes:
-    n = max(len(v) for v in columns.values())  # type: ignore[arg-type]
-    return Fixes(**({"time_s": np.zeros(n), "source": np.full(n, 5)} | columns))  # type: ignore[arg-type]
+    n = max(len(v) for v in columns.values())
+    return Fixes(**({"time_s": np.zeros(n), "source": np.full(n, 5)} | columns))
 
 
 def test_targets_by_address_mmsi_callsign_track() -> None:
@@ -435,7 +435,7 @@ def test_targets_do_not_depend_on_the_order(rows: list[tuple[int, int, int, int]
     # Equal stamps of one track have no order of their own.
     fixes = _named(mode_s=mode_s, track=track, time_s=time + np.arange(len(rows)) * 1e-3, source=source)
     order = list(range(len(rows)))
-    random.shuffle(order)  # type: ignore[attr-defined]
+    random.shuffle(order)
     assert np.array_equal(alignment.targets_of(fixes.take(np.array(order))), alignment.targets_of(fixes)[order])
 
 
@@ -445,7 +445,7 @@ def test_targets_do_not_depend_on_the_order(rows: list[tuple[int, int, int, int]
 def _sensor(**kwargs: object) -> Sensor:
     return Sensor(
         **({"name": "M", "sac": 0, "sic": 5, "kind": "mlat", "lat_deg": 41.3, "lon_deg": 2.1, "height_m": 50.0} | kwargs)
-    )  # type: ignore[arg-type]
+    )
 
 
 def _cartesian(n: int = 40, **columns: object) -> Fixes:
@@ -457,7 +457,7 @@ def _cartesian(n: int = 40, **columns: object) -> Fixes:
         "x_m": rng.uniform(-9e4, 9e4, n),
         "y_m": rng.uniform(-9e4, 9e4, n),
     }
-    return Fixes(**(given | columns))  # type: ignore[arg-type]
+    return Fixes(**(given | columns))
 
 
 def test_cartesian_positions_become_geodetic_on_the_ellipsoid() -> None:
@@ -475,9 +475,9 @@ def test_cartesian_positions_become_geodetic_on_the_ellipsoid() -> None:
 def test_the_reference_point_may_come_from_the_stream_or_is_asked_for() -> None:
     fixes = _cartesian(height_m=np.full(40, 9000.0))
     nothing = dict(sac=0, sic=5, category=20, edition="1.9", records=1, plots=0, start_s=0.0, end_s=1.0, targets=1)
-    told = Source(**nothing, latitude_rad=float(LAT), longitude_rad=float(LON), height_m=50.0)  # type: ignore[arg-type]
+    told = Source(**nothing, latitude_rad=float(LAT), longitude_rad=float(LON), height_m=50.0)
     own, _ = alignment.locate(fixes, Sensors((_sensor(),)))
-    other, _ = alignment.locate(fixes, Sensors(()), (Source(**nothing), told))  # type: ignore[arg-type]
+    other, _ = alignment.locate(fixes, Sensors(()), (Source(**nothing), told))
     assert np.allclose(own.latitude_rad, other.latitude_rad, atol=1e-15)
     with pytest.raises(SettingsError, match=r"SAC/SIC 0/5.*sac = 0, sic = 5"):
         alignment.locate(fixes, Sensors(()))
@@ -568,8 +568,8 @@ def test_rows_without_position_or_time_are_counted() -> None:
 
 def test_time_offsets_are_taken_from_both_tables() -> None:
     sensors = Sensors((_sensor(time_offset_s=0.35), _sensor(name="R", sic=7, kind="psr", time_offset_s=-2.0)))
-    plots = alignment.apply_time_offsets(Plots(time_s=[10.0, 20.0], sensor=[7, 9]), sensors)  # type: ignore[arg-type]
-    fixes = alignment.apply_time_offsets(Fixes(time_s=[10.0, 20.0], source=[5, 7]), sensors)  # type: ignore[arg-type]
+    plots = alignment.apply_time_offsets(Plots(time_s=[10.0, 20.0], sensor=[7, 9]), sensors)
+    fixes = alignment.apply_time_offsets(Fixes(time_s=[10.0, 20.0], source=[5, 7]), sensors)
     assert plots.time_s.tolist() == [12.0, 20.0]
     assert fixes.time_s.tolist() == [9.65, 22.0]
 

@@ -53,13 +53,13 @@ def test_the_tutorial_runs_block_after_block(
         exec(compile(block, f"{page.name}, block {k + 1}", "exec"), names)
     said = capsys.readouterr().out
     assert "azimuth_bias" in said
-    assert len(names["clean"]) == len(names["radar"].plots)  # type: ignore[arg-type, attr-defined]
+    assert len(names["clean"]) == len(names["radar"].plots)
     listed = {name for row in rows(section(page, "Hand on")) for name in code(row[0])}
     assert {p.name for p in (tmp_path / "result").iterdir()} == listed
     # The command on the page names the files that the page has made.
     for path in re.findall(r"demo/\S+", section(page, "Hand on")):
         assert (tmp_path / path).is_file()
-    assert f"--date {names['files'].date.isoformat()}" in page.read_text(encoding="utf-8")  # type: ignore[attr-defined]
+    assert f"--date {names['files'].date.isoformat()}" in page.read_text(encoding="utf-8")
 
 
 def test_the_code_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -73,7 +73,7 @@ def test_the_code_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyP
     names: dict[str, object] = {}
     exec(compile(block, "README.md", "exec"), names)
     assert "azimuth_bias" in capsys.readouterr().out
-    assert len(names["clean"]) > 0  # type: ignore[arg-type]
+    assert len(names["clean"]) > 0
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)

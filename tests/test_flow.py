@@ -60,13 +60,13 @@ def test_an_earlier_result_is_kept(demo: tuple[Path, flow.Run], tmp_path: Path) 
     assert (folder / "calibration.json").read_bytes() != first["calibration.json"]
 
 
-def test_exchanged_arguments_are_said(scene) -> None:  # type: ignore[no-untyped-def]
+def test_exchanged_arguments_are_said(scene) -> None:
     _, files = scene
     with pytest.raises(NothingToDo, match="exchanged"):
         flow.calibrate(files.reference, files.plots, load_sensors(files.sensors), date=files.date)
 
 
-def test_unknown_radar_is_named_with_its_codes(scene, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_unknown_radar_is_named_with_its_codes(scene, tmp_path: Path) -> None:
     _, files = scene
     path = tmp_path / "sensors.toml"
     path.write_text('[[sensor]]\nname = "X"\nsac = 250\nsic = 251\nlat_deg = 0.0\nlon_deg = 0.0\nheight_m = 0.0\n')
@@ -74,7 +74,7 @@ def test_unknown_radar_is_named_with_its_codes(scene, tmp_path: Path) -> None:  
         flow.calibrate(files.plots, files.reference, load_sensors(path), date=files.date)
 
 
-def test_recordings_of_other_days_are_refused(scene, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_recordings_of_other_days_are_refused(scene, tmp_path: Path) -> None:
     """The same bytes read as of two dates cannot overlap: the distance in time is named."""
     _, files = scene
     import datetime
@@ -88,7 +88,7 @@ def test_recordings_of_other_days_are_refused(scene, tmp_path: Path) -> None:  #
         overlap(radar.plots, later.fixes)
 
 
-def test_an_unwritable_folder_is_said(scene, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_an_unwritable_folder_is_said(scene, tmp_path: Path) -> None:
     _, files = scene
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
@@ -96,7 +96,7 @@ def test_an_unwritable_folder_is_said(scene, tmp_path: Path) -> None:  # type: i
         flow.calibrate(files.plots, files.reference, load_sensors(files.sensors), date=files.date, out=blocked / "out")
 
 
-def test_options_that_make_no_sense_are_told_before_anything_is_read(scene, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_options_that_make_no_sense_are_told_before_anything_is_read(scene, tmp_path: Path) -> None:
     """The recordings named here do not exist: whoever reads first complains of that instead."""
     _, files = scene
     sensors = load_sensors(files.sensors)
@@ -115,7 +115,7 @@ def test_options_that_make_no_sense_are_told_before_anything_is_read(scene, tmp_
     assert not (tmp_path / "demo").exists()
 
 
-def test_a_file_given_twice_is_read_once(scene) -> None:  # type: ignore[no-untyped-def]
+def test_a_file_given_twice_is_read_once(scene) -> None:
     _, files = scene
     sensors = load_sensors(files.sensors)
     once = flow.calibrate(files.plots[:1], files.reference, sensors, date=files.date)
@@ -158,7 +158,7 @@ def test_a_radar_is_no_reference_for_itself() -> None:
     assert len(warnings) == 1
 
 
-def test_results_appear_together_or_not_at_all(scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
+def test_results_appear_together_or_not_at_all(scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import boresight.report
 
     _, files = scene
@@ -190,7 +190,7 @@ def test_results_appear_together_or_not_at_all(scene, tmp_path: Path, monkeypatc
         assert not (tmp_path / "never").exists()
 
 
-def test_a_site_that_the_stream_contradicts_is_said(scene, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_a_site_that_the_stream_contradicts_is_said(scene, tmp_path: Path) -> None:
     """The radar's own messages (I034/120) say where it stands; a typing mistake of a hundredth of a degree is seen."""
     _, files = scene
     text = files.sensors.read_text()

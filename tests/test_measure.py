@@ -15,11 +15,11 @@ TURN = st.floats(-50, 50)
 
 
 def _radar(**kwargs: object) -> Sensor:
-    return Sensor(**({"name": "R", "sac": 1, "sic": 2, "lat_deg": 41.3, "lon_deg": 2.1, "height_m": 80.0} | kwargs))  # type: ignore[arg-type]
+    return Sensor(**({"name": "R", "sac": 1, "sic": 2, "lat_deg": 41.3, "lon_deg": 2.1, "height_m": 80.0} | kwargs))
 
 
 def _plots(n: int, **columns: object) -> Plots:
-    return Plots(**({"time_s": np.arange(n, dtype=float), "sensor": np.full(n, 0x0102)} | columns))  # type: ignore[arg-type]
+    return Plots(**({"time_s": np.arange(n, dtype=float), "sensor": np.full(n, 0x0102)} | columns))
 
 
 @given(TURN)

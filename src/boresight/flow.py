@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import hashlib
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -356,14 +355,9 @@ def _files_of(path: str | Path) -> list[Path]:
 
 def _input(path: str | Path) -> Input:
     from .calibration import Input
+    from .reading import sha256_of
 
-    digest = hashlib.sha256()
-    size = 0
-    with Path(path).open("rb") as file:
-        while chunk := file.read(1 << 20):
-            digest.update(chunk)
-            size += len(chunk)
-    return Input(path=str(path), sha256=digest.hexdigest(), bytes=size)
+    return Input(path=str(path), sha256=sha256_of(path), bytes=Path(path).stat().st_size)
 
 
 def _truth_rows(found: Calibration, truth: Mapping[str, Mapping[str, float]]) -> dict[str, tuple[TruthRow, ...]]:

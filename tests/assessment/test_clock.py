@@ -51,7 +51,7 @@ def recording(plots: Plots, marks: Marks | None = None, receive_s: np.ndarray | 
     )  # fmt: skip
 
 
-def read_nothing():  # type: ignore[no-untyped-def]
+def read_nothing():
     from boresight.model import Fixes
 
     return Fixes()

@@ -418,10 +418,10 @@ def content(rng: np.random.Generator, item: uap.Item, frns: list[uap.Item | None
     if item.kind == uap.RANDOM:
         choices = [k for k, one in enumerate(frns) if one is not None and one.kind < uap.COMPOUND]
         some = rng.choice(choices, 3)
-        return b"\3" + b"".join(bytes([k + 1]) + content(rng, frns[k], [], parts) for k in some)  # type: ignore[arg-type]
+        return b"\3" + b"".join(bytes([k + 1]) + content(rng, frns[k], [], parts) for k in some)
     subs = [k for k, one in enumerate(item.subitems) if one is not None and rng.random() < 0.5]
     subs = subs or [next(k for k, one in enumerate(item.subitems) if one is not None)]
-    return presence(subs) + b"".join(content(rng, item.subitems[k], [], {}) for k in subs)  # type: ignore[arg-type]
+    return presence(subs) + b"".join(content(rng, item.subitems[k], [], {}) for k in subs)
 
 
 def presence(numbers: list[int]) -> bytes:

@@ -87,7 +87,7 @@ def position(lat: float, lon: float) -> bytes:
 
 
 def whole(data: bytes, **begin: object) -> Records:
-    records, _, consumed = decode(data, DecodeState.begin(**begin), final=True)  # type: ignore[arg-type]
+    records, _, consumed = decode(data, DecodeState.begin(**begin), final=True)
     assert consumed == len(data)
     return records
 

@@ -52,7 +52,7 @@ def ttm(
 def read(tmp_path: Path, lines: list[str] | bytes, **how: object) -> Recording:
     path = tmp_path / "log.nmea"
     path.write_bytes(lines if isinstance(lines, bytes) else "".join(line + "\r\n" for line in lines).encode("latin-1"))
-    return read_nmea(path, **how)  # type: ignore[arg-type]
+    return read_nmea(path, **how)
 
 
 def test_real_target_sentence(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from boresight.reading.reference import (
 
 
 def utc(*when: int) -> float:
-    return datetime.datetime(*when, tzinfo=datetime.UTC).timestamp()  # type: ignore[misc,arg-type]
+    return datetime.datetime(*when, tzinfo=datetime.UTC).timestamp()
 
 
 # ---------------------------------------------------------------------------------------------------------------- GPS time

@@ -67,7 +67,7 @@ class Page(HTMLParser):
 
 
 def html_of(scene: Scene, **more: object) -> str:
-    return render(scene.calibration, scene.residuals, scene.sensors, title="Radar calibration", **more)  # type: ignore[arg-type]
+    return render(scene.calibration, scene.residuals, scene.sensors, title="Radar calibration", **more)
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +158,7 @@ def test_what_files_and_warnings_say_is_not_taken_for_markup(build: Callable[...
 
 
 def replace_calibration(found: Calibration, **changes: object) -> Calibration:
-    return replace(found, **changes)  # type: ignore[arg-type]
+    return replace(found, **changes)
 
 
 def test_elevation_has_its_own_panels_only_where_measured(build: Callable[..., Scene], page: Page) -> None:

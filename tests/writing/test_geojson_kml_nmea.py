@@ -166,7 +166,7 @@ def test_kml_is_xml_with_a_folder_for_each_target(tmp_path: Path) -> None:
     assert counts == {"fixes": 4, "without position": 1, "a & b": 2}
     marks = root.findall(f".//{KML}Placemark")
     assert len(marks) == 6
-    assert [m.find(f"{KML}name").text for m in marks[:4]] == ["00ABCD", "X", "X", "X"]  # type: ignore[union-attr]
+    assert [m.find(f"{KML}name").text for m in marks[:4]] == ["00ABCD", "X", "X", "X"]
     assert [e.text for e in root.iter(f"{KML}when")][:1] == ["2026-03-01T00:00:00.25Z"]
     assert next(e.text for e in root.iter(f"{KML}coordinates")) == "1.0000000,50.1234568"
     line = root.find(f".//{KML}LineString/{KML}coordinates")
