@@ -12,11 +12,15 @@ from boresight.calibration import (
     SCHEMA,
     Accuracy,
     Calibration,
+    Choice,
+    Effect,
     Input,
     Noise,
     NotDetermined,
+    Share,
     Summary,
     TermKey,
+    Verdict,
     load_calibration,
     save_calibration,
     summary_json,
@@ -41,6 +45,16 @@ def example(epochs: int = 1) -> Calibration:
                 sensor=257, name="A", model="atc", noise=Noise(31.25, 0.07 * DEG), plots=12345, tracks=31, targets=30,
                 before=Accuracy(812.5, 1500.0), after=Accuracy(70.0, 210.0), held_out_before_median_m=812.5,
                 held_out_after_median_m=71.0, effective_targets=24.5, notes=("a note",),
+                effects=(Effect("azimuth_bias", 100.0, 0.0075 * DEG), Effect("time_offset", np.inf, 0.125)),
+                verdicts=(
+                    Verdict(channel="all", term="azimuth_bias", decision="apply", why="it helps", gain_m=12.5, gain_low_m=8.0,
+                            gain_high_m=17.0),
+                    Verdict(channel="all", term="range_gain", decision="insufficient", why="one target"),
+                ),
+                criterion="cross-validation",
+                choices=(Choice(action="start", term="", criterion=4.5), Choice(action="add", term="range_gain", criterion=4.25,
+                                                                                change=-0.25, change_sd=0.125, why="better")),
+                budget=(Share("bias", 37.5, 220.0), Share("timing", np.nan, 3.0)),
             ),
         ),
         not_determined=(NotDetermined(257, "elevation_bias", "the sensor measures no elevation"),),
@@ -65,6 +79,9 @@ def test_round_trip(tmp_path: Path, epochs: int) -> None:
     assert t.noise.azimuth_rad == pytest.approx(s.noise.azimuth_rad, rel=1e-15)
     assert (t.name, t.before, t.held_out_after_median_m, t.notes) == (s.name, s.before, s.held_out_after_median_m, s.notes)
     assert np.isnan(t.held_out_after_p95_m)
+    # NaN equals nothing, so what may hold one is compared as text.
+    for field in ("effects", "verdicts", "criterion", "choices", "budget"):
+        assert repr(getattr(t, field)) == repr(getattr(s, field))
     assert (after.not_determined, after.inputs, after.warnings, after.settings, after.version) == (
         before.not_determined, before.inputs, before.warnings, before.settings, before.version,
     )  # fmt: skip
@@ -97,13 +114,17 @@ def test_json_of_calibrate() -> None:
         "unit": "deg",
     }
     assert set(a) == {
-        "model", "terms", "noise", "plots", "tracks", "targets", "before", "after", "held_out", "not_determined",
+        "model", "terms", "noise", "plots", "tracks", "targets", "before", "after", "held_out", "not_determined", "verdicts",
     }  # fmt: skip
     assert a["noise"] == {"range_m": 31.25, "azimuth_deg": pytest.approx(0.07)}
     assert (a["plots"], a["tracks"], a["targets"]) == (12345, 31, 30)
     assert a["before"] == {"median_m": 812.5, "p95_m": 1500.0}
     assert (a["held_out"]["before_median_m"], a["held_out"]["after_median_m"]) == (812.5, 71.0)
     assert a["not_determined"] == [{"term": "elevation_bias", "why": "the sensor measures no elevation"}]
+    assert a["verdicts"][0] == {
+        "term": "azimuth_bias", "decision": "apply", "gain_m": 12.5, "gain_95_m": [8.0, 17.0], "why": "it helps",
+    }  # fmt: skip
+    assert a["verdicts"][1]["gain_m"] is None
     assert out["inputs"] == [{"path": "radar.ast", "sha256": "ab" * 32, "bytes": 10}]
     assert out["warnings"] == ["a warning", "A: a note"]
 
@@ -142,6 +163,8 @@ def test_intervals_are_those_of_the_t_distribution() -> None:
         (lambda d: d["covariance"][0].pop(), "covariance"),
         (lambda d: d["value"][0].append(1.0), "value"),
         (lambda d: d.update(more=1), "more"),
+        (lambda d: d["sensors"][0]["effects"][0].update(term="warp_drive"), "warp_drive"),
+        (lambda d: d["sensors"][0]["verdicts"][0].update(decision="maybe"), "maybe"),
     ],
 )
 def test_what_is_no_calibration_is_refused(tmp_path: Path, change, match: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -16,6 +16,7 @@ from .errors import InputError
 from .terms import DEG, TERMS
 
 SCHEMA = "boresight-calibration/1"
+Decision = Literal["apply", "hold", "insufficient"]
 
 
 class TermKey(msgspec.Struct, frozen=True):
@@ -50,10 +51,64 @@ class Accuracy(msgspec.Struct, frozen=True):
     p95_m: float
 
 
+class Effect(msgspec.Struct, frozen=True):
+    """A random error that plots of one target share: it acts as `term` does, over blocks of `block_s` (infinite: for good).
+
+    `sd` is over targets (or blocks), SI.
+    """
+
+    term: str
+    block_s: float
+    sd: float
+
+
+class Verdict(msgspec.Struct, frozen=True, kw_only=True):
+    """What to do with one term: "apply" the correction, "hold" it back, or "insufficient" data to say.
+
+    `gain_m` is by how much the term lowers the error of targets that were held out (root mean square, metres; NaN: not
+    measured), with its 95 % interval; `why` is the reason in words.
+    """
+
+    channel: str
+    term: str
+    decision: Decision
+    why: str
+    gain_m: float = float("nan")
+    gain_low_m: float = float("nan")
+    gain_high_m: float = float("nan")
+
+
+class Choice(msgspec.Struct, frozen=True, kw_only=True):
+    """One step on the way to a model: the term that was added or dropped, and the criterion after it (smaller is better).
+
+    `change` is the criterion's change by this step with its standard error `change_sd` over targets (NaN: not known).
+    """
+
+    action: str
+    term: str
+    criterion: float
+    change: float = float("nan")
+    change_sd: float = float("nan")
+    why: str = ""
+
+
+class Share(msgspec.Struct, frozen=True):
+    """One cause's part in the error of a plot before correction: root mean square (m) in range and across it.
+
+    Causes are "bias", "noise", "reference", "timing" and "height"; NaN where the data cannot tell.
+    """
+
+    cause: str
+    range_m: float
+    cross_m: float
+
+
 class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """What a calibration says of one sensor besides its terms.
 
     Held-out figures come from folds by target.  `effective_targets` is how many equally good targets would tell as much.
+    `effects` are the random errors that a target's plots share, `verdicts` say what to do with each term, `choices` are the
+    steps of the search for the model by `criterion` ("" where the model was given), `budget` is where a plot's error comes from.
     """
 
     sensor: int
@@ -71,6 +126,11 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     held_out_after_p95_m: float = float("nan")
     effective_targets: float = float("nan")
     notes: tuple[str, ...] = ()
+    effects: tuple[Effect, ...] = ()
+    verdicts: tuple[Verdict, ...] = ()
+    criterion: str = ""
+    choices: tuple[Choice, ...] = ()
+    budget: tuple[Share, ...] = ()
 
 
 class Input(msgspec.Struct, frozen=True):
@@ -190,6 +250,38 @@ class _AccuracyFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     p95_m: float | None
 
 
+class _EffectFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    term: str
+    block_s: float | None
+    sd: float
+    unit: str
+
+
+class _VerdictFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    channel: str
+    term: str
+    decision: Decision
+    why: str
+    gain_m: float | None
+    gain_low_m: float | None
+    gain_high_m: float | None
+
+
+class _ChoiceFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    action: str
+    term: str
+    criterion: float | None
+    change: float | None
+    change_sd: float | None
+    why: str
+
+
+class _ShareFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    cause: str
+    range_m: float | None
+    cross_m: float | None
+
+
 class _SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     sensor: int
     name: str
@@ -204,6 +296,11 @@ class _SensorFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     held_out_before: _AccuracyFile
     held_out_after: _AccuracyFile
     notes: tuple[str, ...]
+    effects: tuple[_EffectFile, ...] = ()
+    verdicts: tuple[_VerdictFile, ...] = ()
+    criterion: str = ""
+    choices: tuple[_ChoiceFile, ...] = ()
+    budget: tuple[_ShareFile, ...] = ()
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -274,6 +371,19 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
                 held_out_before=accuracy(s.held_out_before_median_m, s.held_out_before_p95_m),
                 held_out_after=accuracy(s.held_out_after_median_m, s.held_out_after_p95_m),
                 notes=s.notes,
+                effects=tuple(
+                    _EffectFile(e.term, _null(e.block_s), e.sd / TERMS[e.term].si_per_unit, TERMS[e.term].unit) for e in s.effects
+                ),
+                verdicts=tuple(
+                    _VerdictFile(v.channel, v.term, v.decision, v.why, _null(v.gain_m), _null(v.gain_low_m), _null(v.gain_high_m))
+                    for v in s.verdicts
+                ),
+                criterion=s.criterion,
+                choices=tuple(
+                    _ChoiceFile(c.action, c.term, _null(c.criterion), _null(c.change), _null(c.change_sd), c.why)
+                    for c in s.choices
+                ),
+                budget=tuple(_ShareFile(b.cause, _null(b.range_m), _null(b.cross_m)) for b in s.budget),
             )
             for s in calibration.sensors
         ),
@@ -320,6 +430,12 @@ def load_calibration(path: str | Path) -> Calibration:
                 path=path,
                 remedy=remedy,
             )
+    for s in file.sensors:
+        for effect in s.effects:
+            if effect.term not in TERMS:
+                raise InputError(
+                    f"the effects of {s.name} name a term {effect.term!r}, which does not exist", path=path, remedy=remedy
+                )
     known = {s.sensor for s in file.sensors}
     for number, term in enumerate(file.terms):
         if term.sensor not in known:
@@ -357,6 +473,35 @@ def load_calibration(path: str | Path) -> Calibration:
                 held_out_after_median_m=_nan(s.held_out_after.median_m),
                 held_out_after_p95_m=_nan(s.held_out_after.p95_m),
                 notes=s.notes,
+                effects=tuple(
+                    Effect(e.term, float("inf") if e.block_s is None else e.block_s, e.sd * TERMS[e.term].si_per_unit)
+                    for e in s.effects
+                ),
+                verdicts=tuple(
+                    Verdict(
+                        channel=v.channel,
+                        term=v.term,
+                        decision=v.decision,
+                        why=v.why,
+                        gain_m=_nan(v.gain_m),
+                        gain_low_m=_nan(v.gain_low_m),
+                        gain_high_m=_nan(v.gain_high_m),
+                    )
+                    for v in s.verdicts
+                ),
+                criterion=s.criterion,
+                choices=tuple(
+                    Choice(
+                        action=c.action,
+                        term=c.term,
+                        criterion=_nan(c.criterion),
+                        change=_nan(c.change),
+                        change_sd=_nan(c.change_sd),
+                        why=c.why,
+                    )
+                    for c in s.choices
+                ),
+                budget=tuple(Share(b.cause, _nan(b.range_m), _nan(b.cross_m)) for b in s.budget),
             )
             for s in file.sensors
         ),
@@ -406,6 +551,16 @@ def summary_json(calibration: Calibration) -> dict[str, Any]:
                 "after_p95_m": _null(s.held_out_after_p95_m),
             },
             "not_determined": [{"term": n.term, "why": n.why} for n in calibration.not_determined if n.sensor == s.sensor],
+            "verdicts": [
+                {
+                    "term": v.term if v.channel == "all" else f"{v.term}.{v.channel}",
+                    "decision": v.decision,
+                    "gain_m": _null(v.gain_m),
+                    "gain_95_m": [_null(v.gain_low_m), _null(v.gain_high_m)],
+                    "why": v.why,
+                }
+                for v in s.verdicts
+            ],
         }
     notes = [f"{s.name}: {note}" for s in calibration.sensors for note in s.notes]
     return {
