@@ -21,6 +21,7 @@ from .model import Fixes, Platform, Plots, Recording, Sensors, Source, load_sens
 
 if TYPE_CHECKING:
     from ._types import IntArray
+    from .assessment.requirement import Conformity
     from .assessment.residuals import Residuals
     from .association import Association
     from .calibration import Calibration, Input
@@ -49,7 +50,7 @@ class Run:
     """What one run found.
 
     `targets` names the targets of the pairs (number -> Mode S address, MMSI, callsign or track number), `reference` the files
-    that were the reference; `truth` is filled where the scene was simulated.
+    that were the reference; `truth` is filled where the scene was simulated, `conformity` where a requirement was given.
     """
 
     calibration: Calibration
@@ -58,6 +59,7 @@ class Run:
     targets: Mapping[int, str] = field(default_factory=dict)
     reference: tuple[str, ...] = ()
     truth: Mapping[str, tuple[TruthRow, ...]] = field(default_factory=dict)
+    conformity: tuple[Conformity, ...] = ()
 
 
 def calibrate(
