@@ -17,6 +17,8 @@ from ._types import FloatArray
 from .errors import SettingsError
 
 DEG = np.pi / 180.0
+# Terms that act by shifting the stamps, not by a column at the true place.
+TIME_TERMS = frozenset({"time_offset", "clock_drift"})
 # Elevations beyond this are treated as this where a column has a pole over the antenna (tan E, 1 / cos E).
 _STEEPEST_RAD = 80 * DEG
 
@@ -105,6 +107,7 @@ def _along_heading_per_length(g: Geometry) -> FloatArray:
 
 
 _NONE: frozenset[str] = frozenset()
+_MS_PER_H = 1e-3 / 3600.0
 _LIST = (
     Term("range_bias", "m", 1.0, 500.0, _NONE, lambda g: _range(1.0, g), "the radar reads too far by this, everywhere"),
     Term(
@@ -121,6 +124,10 @@ _LIST = (
     Term("tilt_north", "deg", DEG, DEG, _NONE, lambda g: _tilt(g, 0.0), "the azimuth axis leans: elevation too large in the north"),
     Term("tilt_east", "deg", DEG, DEG, _NONE, lambda g: _tilt(g, np.pi / 2), "the azimuth axis leans: elevation too large in the east"),
     Term("time_offset", "s", 1.0, 5.0, frozenset({"rate"}), lambda g: -g.rate, "stamp minus true time: plots are stamped late"),
+    Term(
+        "clock_drift", "ms/h", _MS_PER_H, 100 * _MS_PER_H, frozenset({"rate"}), lambda g: -g.rate * g.time_s[:, None],
+        "the time offset grows by this, counted from the calibration's epoch",
+    ),
     Term("site_east", "m", 1.0, 100.0, _NONE, lambda g: _displace(g, -1.0, 0.0, 0.0), "the antenna stands east of the position given"),
     Term("site_north", "m", 1.0, 100.0, _NONE, lambda g: _displace(g, 0.0, -1.0, 0.0), "the antenna stands north of the position given"),
     Term("site_up", "m", 1.0, 100.0, _NONE, lambda g: _displace(g, 0.0, 0.0, -1.0), "the antenna stands above the position given"),
@@ -141,6 +148,18 @@ MODELS: dict[str, tuple[str, ...]] = {
     "atc": ("range_bias", "range_gain", "azimuth_bias", "azimuth_cos", "azimuth_sin", "elevation_bias", "time_offset"),
     "surface": ("range_bias", "azimuth_bias", "time_offset", "along_heading_per_length"),
 }
+
+
+def late_s(terms: Sequence[Term], value: Sequence[FloatArray | float] | FloatArray, time_s: FloatArray) -> FloatArray:
+    """Stamp minus true time (n,), s, by the terms of `TIME_TERMS` among the terms; each value is a number or (n,), SI.
+
+    `time_s` (n,) counts from the calibration's epoch.
+    """
+    out = np.zeros(len(time_s))
+    for term, v in zip(terms, value, strict=True):
+        if term.name in TIME_TERMS:
+            out += v * time_s if term.name == "clock_drift" else v
+    return out
 
 
 def order_of(terms: Iterable[Term]) -> int:

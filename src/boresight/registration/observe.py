@@ -20,11 +20,10 @@ from ..measure import (
     wrap_rad,
 )  # fmt: skip
 from ..model import Pairs, Sensor
-from ..terms import Geometry, Term, order_of
+from ..terms import TIME_TERMS, Geometry, Term, late_s, order_of
 
 # Rows that are worked on at a time: large enough for NumPy, small enough for the memory.
 CHUNK = 1 << 15
-_TIME_TERMS = frozenset({"time_offset"})
 _BY_ROW = (
     "row", "enu", "velocity", "acceleration", "measured", "reference_variance", "heading_rad", "length_m", "time_s", "weight",
     "cluster",
@@ -176,18 +175,20 @@ def take(seen: Observed, rows: IntArray) -> Observed:
     return replace(seen, **{name: getattr(seen, name)[rows] for name in _BY_ROW})
 
 
-def time_offset(terms: Sequence[Term], value: FloatArray) -> float:
-    """The value (s) of the time offset among the terms, 0 where it is not one of them."""
-    return float(sum(v for term, v in zip(terms, value, strict=True) if term.name in _TIME_TERMS))
+def late(seen: Observed, rows: slice | IntArray, terms: Sequence[Term], value: FloatArray) -> FloatArray | None:
+    """Stamp minus true time, (n, 1) s, at the error values (p,); None where it is nothing."""
+    if not any(t.name in TIME_TERMS and v != 0 for t, v in zip(terms, value, strict=True)):
+        return None
+    return late_s(terms, value, seen.time_s[rows])[:, None]
 
 
-def geometry(seen: Observed, rows: slice | IntArray, late_s: float, order: int = 1) -> Geometry:
-    """Where the targets truly were, as the radar saw them: `late_s` before their stamps; with rates up to the `order`."""
+def geometry(seen: Observed, rows: slice | IntArray, before: FloatArray | None, order: int = 1) -> Geometry:
+    """Where the targets truly were, as the radar saw them: (n, 1) seconds `before` their stamps; with rates up to the `order`."""
     acceleration, velocity = seen.acceleration[rows], seen.velocity[rows]
     enu = seen.enu[rows]
-    if late_s != 0:
-        enu = enu - late_s * velocity + (0.5 * late_s**2) * acceleration
-        velocity = velocity - late_s * acceleration
+    if before is not None:
+        enu = enu - before * velocity + (0.5 * before**2) * acceleration
+        velocity = velocity - before * acceleration
     polar, rate, second, third = polar_motion(enu, velocity, acceleration, order=order)
     return Geometry(
         polar[:, 0], polar[:, 1], polar[:, 2], rate, second, third, seen.heading_rad[rows], seen.length_m[rows], seen.time_s[rows]
@@ -199,14 +200,14 @@ def look(
 ) -> tuple[Geometry, FloatArray, dict[str, FloatArray]]:
     """Geometry, residuals (n, 3) at the error values (p,), SI, and the columns (n, 3) of the terms and `also` of others, by name.
 
-    The time offset enters through the target's motion, all other terms through their columns; elevation residuals are NaN where
+    A late stamp enters through the target's motion, all other terms through their columns; elevation residuals are NaN where
     none was measured.
     """
-    place = geometry(seen, rows, time_offset(terms, value), order_of([*terms, *also]))
+    place = geometry(seen, rows, late(seen, rows, terms, value), order_of([*terms, *also]))
     columns = {term.name: term.columns(place) for term in [*terms, *also]}
     residual = seen.measured[rows] - np.stack([place.range_m, place.azimuth_rad, place.elevation_rad], axis=1)
     for term, v in zip(terms, value, strict=True):
-        if term.name not in _TIME_TERMS and v != 0:
+        if term.name not in TIME_TERMS and v != 0:
             residual -= columns[term.name] * v
     residual[:, 1] = wrap_rad(residual[:, 1])
     return place, residual, columns
@@ -225,14 +226,16 @@ def distances(seen: Observed, rows: slice | IntArray, terms: Sequence[Term], val
 
     NaN where the slant range is too short for that height.
     """
-    late = time_offset(terms, value)
+    before = late(seen, rows, terms, value)
     # What a late stamp does is in the motion: its own column is not needed.
-    others = [(t, v) for t, v in zip(terms, value, strict=True) if t.name not in _TIME_TERMS and v != 0]
-    place = geometry(seen, rows, late, order_of([t for t, _ in others]))
+    others = [(t, v) for t, v in zip(terms, value, strict=True) if t.name not in TIME_TERMS and v != 0]
+    place = geometry(seen, rows, before, order_of([t for t, _ in others]))
     residual = seen.measured[rows] - np.stack([place.range_m, place.azimuth_rad, place.elevation_rad], axis=1)
     for term, v in others:
         residual -= term.columns(place) * v
-    enu = seen.enu[rows] - late * seen.velocity[rows] + (0.5 * late**2) * seen.acceleration[rows]
+    enu = seen.enu[rows]
+    if before is not None:
+        enu = enu - before * seen.velocity[rows] + (0.5 * before**2) * seen.acceleration[rows]
     position = seen.site + enu @ seen.rotation
     height, up = height_and_up(position)
     lies = position_from_height(
