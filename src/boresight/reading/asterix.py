@@ -248,6 +248,20 @@ def _record(data: ByteArray, p: int, end: int, cats: IntArray, nodes: IntArray, 
 
 
 @kernel
+def _records(
+    data: ByteArray, start: IntArray, length: IntArray, cats: IntArray, nodes: IntArray, category: int, items: AnyArray
+) -> int:
+    """Walk records of one category that begin at `start` (n,): their items' places go to `items`; returns how many do not fit."""
+    bad = 0
+    for i in range(len(start)):
+        end = start[i] + length[i]
+        if _record(data, start[i], end, cats, nodes, category, items[i]) != end:
+            items[i] = 0
+            bad += 1
+    return bad
+
+
+@kernel
 def _length(data: ByteArray, p: int) -> int:
     """The length that the block at `p` claims."""
     long: int = _int(data[p + 1]) << 8 | _int(data[p + 2])
@@ -1793,6 +1807,37 @@ def _sources(records: Records, editions: Mapping[int, str]) -> tuple[Source, ...
 
 
 # ----------------------------------------------------------------------------------------------------------- single records
+
+
+def item_places(
+    data: ByteArray, start: IntArray, length: IntArray, category: int, edition: str, items: Collection[str]
+) -> list[tuple[int, IntArray, IntArray]]:
+    """Where items of known records lie: by list of items, its number, the rows that have it (m,), and places (m, k) in `data`.
+
+    The records of one category begin at `start` (n,) and have `length` (n,) bytes.  A place is 0 where the record does not have
+    the item (nor its list), or is no whole record.
+    """
+    layout = _layout_of({category: edition})
+    places = np.zeros((len(start), layout.width), np.uint16)
+    start = np.ascontiguousarray(start, np.int64)
+    _records(_buffer(data), start, np.ascontiguousarray(length, np.int64), layout.cats, layout.nodes, category, places)
+    out: list[tuple[int, IntArray, IntArray]] = []
+    for form, rows in _forms(_buffer(data), start, places, np.arange(len(start)), category):
+        slots = _slots(form, edition)
+        at = np.zeros((len(rows), len(items)), np.int64)
+        for k, name in enumerate(items):
+            if name in slots:
+                inside = places[rows, slots[name]].astype(np.int64)
+                at[:, k] = np.where(inside > 0, start[rows] + inside, 0)
+        out.append((form, rows, at))
+    return out
+
+
+def digests(data: ByteArray, start: IntArray, length: IntArray) -> IntArray:
+    """The `Records.digest` (n,) of the records that begin at `start` (n,) and have `length` (n,) bytes."""
+    out = np.empty(len(start), np.int64)
+    _digest(_buffer(data), np.ascontiguousarray(start, np.int64), np.ascontiguousarray(length, np.int64), out)
+    return out
 
 
 @dataclass(frozen=True, slots=True)
