@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,8 +12,8 @@ import msgspec
 import numpy as np
 
 from ._files import write_bytes
-from ._types import FloatArray
-from .errors import InputError
+from ._types import BoolArray, FloatArray
+from .errors import InputError, SettingsError
 from .terms import DEG, TERMS
 
 SCHEMA = "boresight-calibration/1"
@@ -213,6 +214,75 @@ class Calibration:
         lines += [f"  not determined: {n.term}: {n.why}" for n in self.not_determined if n.sensor == s.sensor]
         lines += [f"  note: {note}" for note in s.notes]
         return "\n".join(lines)
+
+
+def chosen(calibration: Calibration, terms: str | Sequence[str] = "advised") -> tuple[BoolArray, tuple[str, ...]]:
+    """Which terms are to be applied (p,), and for each one why not ("" where it is).
+
+    "advised" takes the terms whose verdict is to apply them, and those without a verdict; "all" takes every one; else names are
+    taken ("azimuth_bias", or "azimuth_bias.psr" for one channel; a string may be a comma-separated list).  Terms that need the
+    target's accelerations are never taken by "advised": plots do not tell them.  Raises SettingsError for a name that the
+    calibration does not have.
+    """
+    keys = calibration.terms
+    if terms == "all":
+        return np.ones(len(keys), bool), ("",) * len(keys)
+    if terms != "advised":
+        wanted = [part.strip() for part in terms.split(",") if part.strip()] if isinstance(terms, str) else list(terms)
+        names = [{key.name, f"{key.name}.{key.channel}"} for key in keys]
+        for name in wanted:
+            if not any(name in own for own in names):
+                raise SettingsError(
+                    f"the calibration has no term {name!r}",
+                    where="terms",
+                    remedy=f"It has: {', '.join(dict.fromkeys(map(_term_name, keys)))}; or say advised, or all.",
+                )
+        if not wanted:
+            raise SettingsError("no term is named", where="terms", remedy="Say advised, all, or names of terms.")
+        take = np.array([any(name in own for name in wanted) for own in names])
+        return take, tuple("" if here else "it was not asked for" for here in take.tolist())
+    verdicts = {(s.sensor, v.channel, v.term): v for s in calibration.sensors for v in s.verdicts}
+    why = []
+    for key in keys:
+        verdict = verdicts.get((key.sensor, key.channel, key.name))
+        if verdict is not None and verdict.decision != "apply":
+            word = "the data are insufficient" if verdict.decision == "insufficient" else "the advice is to hold it"
+            why.append(f"{word}: {verdict.why}" if verdict.why else word)
+        elif TERMS[key.name].needs & {"second", "third"}:
+            why.append("plots do not tell the accelerations that it needs")
+        else:
+            why.append("")
+    return np.array([not text for text in why], bool), tuple(why)
+
+
+def advised(calibration: Calibration, terms: str | Sequence[str] = "advised") -> Calibration:
+    """The calibration with the terms that are to be applied alone, as it would be had the others been held at zero.
+
+    What is left out is not simply dropped: the others had made room for it.  With the estimates v and their covariance C, the
+    terms applied (a) become ``v_a - C_ah C_hh^-1 v_h`` with ``C_aa - C_ah C_hh^-1 C_ha`` where the terms h are zero, which is what a
+    least-squares fit without them gives (exactly, for a linear model and weights that stay).  `terms` as in `chosen`, which also
+    raises SettingsError.
+    """
+    take, _ = chosen(calibration, terms)
+    if take.all():
+        return calibration
+    epochs, count = len(calibration.epoch_s), int(take.sum())
+    value, covariance = np.empty((epochs, count)), np.empty((epochs, count, count))
+    for k in range(epochs):
+        c = calibration.covariance[k]
+        # Terms differ by orders of magnitude in size: solved in units of their own sd.
+        scale = np.sqrt(np.maximum(np.diag(c), np.finfo(float).tiny))
+        r = c / scale[:, None] / scale
+        gain = np.linalg.lstsq(r[np.ix_(~take, ~take)], r[np.ix_(~take, take)], rcond=None)[0].T
+        value[k] = calibration.value[k, take] - scale[take] * (gain @ (calibration.value[k, ~take] / scale[~take]))
+        left = r[np.ix_(take, take)] - gain @ r[np.ix_(~take, take)]
+        covariance[k] = (left + left.T) / 2 * scale[take][:, None] * scale[take]
+    keys = tuple(key for key, here in zip(calibration.terms, take.tolist(), strict=True) if here)
+    return replace(calibration, terms=keys, value=value, covariance=covariance)
+
+
+def _term_name(key: TermKey) -> str:
+    return key.name if key.channel == "all" else f"{key.name}.{key.channel}"
 
 
 def si_per_unit(key: TermKey) -> float:
