@@ -10,12 +10,14 @@ reference knows them.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from pathlib import Path
 
 import numpy as np
 
 from .._parallel import in_threads, slices
 from .._types import AnyArray, BoolArray, FloatArray, IntArray
 from ..calibration import Calibration, TermKey
+from ..errors import InputError
 from ..geodesy import enu_from_ecef, geodetic_from_ecef, height_and_up, rotate
 from ..measure import (
     from_true_north,
@@ -102,6 +104,30 @@ def residuals(pairs: Pairs, sensors: Sensors, calibration: Calibration) -> Resid
             out[name][rows] = column
 
     in_threads(work, pieces)
+    return Residuals(**out)
+
+
+def load_residuals(path: str | Path) -> Residuals:
+    """Read residuals.parquet, as `calibrate` writes it; stamps are those of the file, to the microsecond.
+
+    Raises InputError where the file cannot be read, or is no table of residuals.
+    """
+    from ..reading.tables import parquet_columns
+
+    inside = parquet_columns(path)
+    out: dict[str, AnyArray] = {}
+    for f in fields(Residuals):
+        angle = f.name.endswith("_rad")
+        outer = f"{f.name[:-4]}_deg" if angle else "time" if f.name == "time_s" else f.name
+        if outer not in inside:
+            raise InputError(f"has no column {outer!r}", path=path, remedy="Give the residuals.parquet of a calibration.")
+        column = inside[outer]
+        if f.name == "channel":
+            numbers = {channel.name.lower(): channel.value for channel in Channel}
+            column = np.array([numbers.get(word, -1) for word in column.tolist()])
+            if (column < 0).any():
+                raise InputError("has a channel that does not exist", path=path)
+        out[f.name] = np.ascontiguousarray(np.radians(column) if angle else column, f.metadata["dtype"])
     return Residuals(**out)
 
 

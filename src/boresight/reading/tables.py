@@ -795,3 +795,33 @@ def sources_of(tables: Any, edition: str) -> tuple[Source, ...]:
                 )
             )  # fmt: skip
     return tuple(out)
+
+
+def parquet_columns(path: str | Path) -> dict[str, AnyArray]:
+    """The columns of a Parquet file that Boresight wrote, as they stand there: NaN and -1 where empty, timestamps in UTC seconds.
+
+    Words stay an array of objects.  Raises InputError where the file cannot be read or is no Parquet.
+    """
+    import duckdb
+
+    if not Path(path).is_file():
+        raise InputError("does not exist" if not Path(path).exists() else "is no file", path=path)
+    with duckdb.connect(":memory:", config={"threads": 1, "autoload_known_extensions": False}) as connection:
+        try:
+            fetched = connection.execute(f"SELECT * FROM read_parquet({_text(str(path))})").fetchnumpy()
+        except duckdb.Error as error:
+            raise InputError(f"is no Parquet: {str(error).splitlines()[0]}", path=path) from error
+    columns: dict[str, AnyArray] = {}
+    for name, column in fetched.items():
+        kind = column.dtype.kind
+        if kind == "M":
+            whole = np.ma.filled(column, np.datetime64("NaT")).astype("datetime64[us]")
+            seconds = whole.astype(np.int64) / 1e6
+            columns[name] = np.where(np.isnat(whole), np.nan, seconds)
+        elif kind == "f":
+            columns[name] = np.asarray(np.ma.filled(column, np.nan))
+        elif kind in "iu":
+            columns[name] = np.asarray(np.ma.filled(column, -1))
+        else:
+            columns[name] = np.asarray(np.ma.getdata(column), object)
+    return columns
