@@ -259,9 +259,9 @@ def advised(calibration: Calibration, terms: str | Sequence[str] = "advised") ->
     """The calibration with the terms that are to be applied alone, as it would be had the others been held at zero.
 
     What is left out is not simply dropped: the others had made room for it.  With the estimates v and their covariance C, the
-    terms applied (a) become ``v_a - C_ah C_hh^-1 v_h`` with ``C_aa - C_ah C_hh^-1 C_ha`` where the terms h are zero, which is what a
-    least-squares fit without them gives (exactly, for a linear model and weights that stay).  `terms` as in `chosen`, which also
-    raises SettingsError.
+    terms applied (a) become ``v_a - C_ah C_hh^-1 v_h`` with ``C_aa - C_ah C_hh^-1 C_ha`` where the terms h are zero: what
+    a least-squares fit without them gives (exactly, for a linear model and weights that stay).  `terms` as in `chosen`, which
+    also raises SettingsError.
     """
     take, _ = chosen(calibration, terms)
     if take.all():
