@@ -7,16 +7,17 @@ One model of named terms over all channels of a sensor, linearised anew with the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import msgspec
 import numpy as np
 
 from .._parallel import in_threads, slices
 from .._types import BoolArray, FloatArray, IntArray
+from ..calibration import Choice
 from ..errors import NothingToDo, SettingsError
 from ..model import Sensor
 from ..terms import DEG, TERMS, Term
@@ -36,6 +37,9 @@ _VARIANCE_BLOCKS = 1_500
 _VARIANCE_PLOTS = 120_000
 _BATCH_BLOCKS = 2_000
 _FOLDS = 5
+# How often the search for a model is repeated with what is then known of the random errors.
+_ROUNDS = 3
+Criterion = Literal["cross-validation", "bic", "none"]
 
 
 class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -46,7 +50,8 @@ class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     `prior_sd`: range bias and gain of far targets correlate, and are both known); nor can a term of whose column less than
     `rank_tolerance` remains once the others are taken out.  `short_block_s` and `long_block_s` are the times over which slowly
     wandering errors are taken as constant (0: by the kind of sensor).  Where weighting by what a target's plots share changes
-    the result by more than chance, at the probability `agreement`, the plots are weighted each for itself.
+    the result by more than chance, at the probability `agreement`, the plots are weighted each for itself.  `criterion` is what
+    the model "auto" is searched by: "cross-validation" over targets, "bic" on targets, or "none" (the kind's model as it is).
     """
 
     soft_sd: float = 3.0
@@ -58,6 +63,7 @@ class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     well_known: float = 0.02
     agreement: float = 0.005
     max_iterations: int = 40
+    criterion: Criterion = "cross-validation"
 
 
 def check_settings(settings: LeastSquares) -> None:
@@ -72,6 +78,7 @@ def check_settings(settings: LeastSquares) -> None:
         ("well_known", settings.well_known >= 0, "Give a part of the prior sd, or 0 to go by the correlation alone."),
         ("agreement", 0 <= settings.agreement <= 1, "Give a probability within 0 … 1."),
         ("max_iterations", settings.max_iterations >= 1, "Give at least 1."),
+        ("criterion", settings.criterion in get_args(Criterion), f"Give one of {', '.join(get_args(Criterion))}."),
     ):
         if not ok:
             raise SettingsError(f"{name} = {getattr(settings, name)} makes no sense", where="settings", remedy=remedy)
@@ -146,6 +153,21 @@ class Dropped(NamedTuple):
     note: str = ""
 
 
+class Searched(NamedTuple):
+    """What a search for a model found: its terms; the steps that led there; what was left out; and `doubt` (p, p), what not
+    knowing the model adds to the covariance of its values, in units of their prior sd."""
+
+    terms: tuple[Term, ...]
+    steps: tuple[Choice, ...]
+    left_out: tuple[Choice, ...]
+    doubt: FloatArray
+
+
+# Targets' normal equations (G, q + 1, q + 1) of q terms, about zero and in units of their prior sd; those terms; those chosen so
+# far; whether it is the first search.
+Search = Callable[[FloatArray, tuple[Term, ...], tuple[Term, ...], bool], Searched]
+
+
 class Fit(NamedTuple):
     """One sensor's solution, SI.
 
@@ -153,7 +175,8 @@ class Fit(NamedTuple):
     `sandwich`, and `bread`, the inverse of the information.  `noise_sd` (3,), NaN where not measured; `weight` (n,) of each
     pair; `effective` the effective number of targets.  What the sensors share in one target: `effect_names`, `effect_variance`
     (w,), `scores` (G, w) with `information` (G, w, w), and `influence` (G, w, p) on the normal equations.  `held_out` (G, p) is
-    the value found without the fold of each target.
+    the value found without the fold of each target; `normal` (G, p + 1, p + 1) are the targets' normal equations, about zero
+    and in units of the terms' prior sd.  `choices` are the steps of the search for the model.
     """
 
     terms: tuple[Term, ...]
@@ -171,6 +194,8 @@ class Fit(NamedTuple):
     information: FloatArray
     influence: FloatArray
     held_out: FloatArray
+    normal: FloatArray
+    choices: tuple[Choice, ...]
     dropped: tuple[Dropped, ...]
     notes: tuple[str, ...]
 
@@ -219,30 +244,57 @@ class _State:
     trust: FloatArray
 
 
-def fit(seen: Observed, terms: Sequence[Term], settings: LeastSquares) -> Fit:
-    """The errors of one sensor.
+def fit(
+    seen: Observed,
+    terms: Sequence[Term],
+    settings: LeastSquares,
+    *,
+    candidates: Sequence[Term] = (),
+    search: Search | None = None,
+) -> Fit:
+    """The errors of one sensor: of these terms, or of those that the `search` chooses from them and the `candidates`.
 
     Raises NothingToDo where not one term can be determined.
     """
     kind = _kind(seen)
     layout = _layout(seen, kind, settings)
-    chosen, dropped = tuple(terms), []
+    chosen, dropped = tuple(terms), list[Dropped]()
     sample, some = _sample(seen), _some_targets(seen, layout)
     start = _robust_start(sample, some[0], layout, kind, chosen, settings)
+    known = start
+    steps: list[Choice] = []
+    left_out: tuple[Choice, ...] = ()
+    doubt, rounds = np.zeros((len(chosen), len(chosen))), 0
     while True:
         bad = _rank_deficient(sample, layout, chosen, start, settings)
         if bad is None:
-            state, reduced, weight = _iterate(seen, layout, some, kind, chosen, start, settings)
+            settled = _settle(some, kind, chosen, known, settings)
+            if search is not None and rounds < _ROUNDS:
+                rounds += 1
+                gone = {t.name for t in chosen} | {d.term for d in dropped}
+                wide = (*chosen, *(t for t in candidates if t.name not in gone))
+                found = search(_wide(some, wide, chosen, settled, settings), wide, chosen, rounds == 1)
+                steps += found.steps
+                left_out, doubt = found.left_out, found.doubt
+                if found.terms != chosen:
+                    value = dict(zip((t.name for t in chosen), settled.value, strict=True))
+                    chosen = found.terms
+                    at = np.array([value.get(t.name, 0.0) for t in chosen])
+                    start = _robust_start(sample, some[0], layout, kind, chosen, settings, at)
+                    known = replace(start, variances=settled.variances)
+                    continue
+            state, reduced, weight = _whole(seen, layout, some, chosen, settled, settings)
             bad = _inseparable(reduced.terms * state.trust[:, None, None], chosen, settings)
         if bad is None:
             break
         dropped.append(bad)
         keep = [k for k, term in enumerate(chosen) if term.name != bad.term]
-        chosen = tuple(chosen[k] for k in keep)
+        chosen, doubt = tuple(chosen[k] for k in keep), doubt[np.ix_(keep, keep)]
         if not chosen:
             raise NothingToDo(f"sensor {seen.sensor.name!r}: no error can be determined: {bad.why}")
-        start = _robust_start(sample, some[0], layout, kind, chosen, settings)
-    return _finish(seen, layout, chosen, start, state, reduced, weight, dropped, settings)
+        start = known = _robust_start(sample, some[0], layout, kind, chosen, settings)
+    choices = (*steps, *left_out)
+    return _finish(seen, layout, chosen, start, state, reduced, weight, dropped, settings, choices, doubt)
 
 
 def _kind(seen: Observed) -> _Kind:
@@ -343,18 +395,25 @@ def _row_weights(u: FloatArray, present: BoolArray, settings: LeastSquares, *, c
 
 
 def _robust_start(
-    sample: Observed, whole: Observed, layout: _Layout, kind: _Kind, terms: tuple[Term, ...], settings: LeastSquares
+    sample: Observed,
+    whole: Observed,
+    layout: _Layout,
+    kind: _Kind,
+    terms: tuple[Term, ...],
+    settings: LeastSquares,
+    at: FloatArray | None = None,
 ) -> _State:
     """A first solution that gross errors do not reach: plain least squares, first with Huber's convex loss, then redescending.
 
     `sample` are some of the rows, `whole` some of the targets with all their rows.  The effects only widen each plot's variance
-    here.  The scale of the residuals is their median's.
+    here.  The scale of the residuals is their median's.  From a value `at` that no gross error has reached, the loss redescends
+    at once.
     """
     p, c = len(terms), layout.channels
     variances = mixed.Variances(np.array(kind.noise[:c]) ** 2, layout.guess)
     prior_sd = np.array([t.prior_sd for t in terms])
-    value, spread = np.zeros(p), np.ones(c)
-    late = 0
+    value, spread = np.zeros(p) if at is None else at, np.ones(c)
+    late = 0 if at is None else 1
 
     share = 1.0
 
@@ -373,7 +432,7 @@ def _robust_start(
         a, b = np.diag(np.ones(p)), -value / prior_sd
         pieces = in_threads(piece, slices(len(sample), CHUNK // 2))
         spread = scale(pieces)
-        convex = number < 6 or late == 0
+        convex = (number < 6 and at is None) or late == 0
         for u, present, x in pieces:
             w = _row_weights(u / spread, present, settings, convex=convex) / spread**2
             for k in range(c):
@@ -444,9 +503,16 @@ def _blocks(layout: _Layout, targets: tuple[int, int]) -> list[tuple[int, int]]:
     return list(pairwise([begin, *(np.flatnonzero(np.diff(piece) != 0) + begin + 1).tolist(), end]))
 
 
-def _look_at(seen: Observed, layout: _Layout, terms: tuple[Term, ...], state: _State, blocks: tuple[int, int]) -> _Piece:
+def _look_at(
+    seen: Observed,
+    layout: _Layout,
+    terms: tuple[Term, ...],
+    state: _State,
+    blocks: tuple[int, int],
+    also: tuple[Term, ...] = (),
+) -> _Piece:
     rows = slice(int(layout.block[blocks[0]]), int(layout.block[blocks[1]]))
-    _, r, columns = look(seen, rows, terms, state.value, _effect_terms(layout))
+    _, r, columns = look(seen, rows, terms, state.value, (*_effect_terms(layout), *also))
     variance = _row_variance(seen, rows, columns, layout, state.variances, state.reference_share)
     return _Piece(blocks, rows, r[:, : layout.channels], columns, variance)
 
@@ -575,23 +641,14 @@ def _some_targets(seen: Observed, layout: _Layout) -> tuple[Observed, _Layout, I
     )  # fmt: skip
 
 
-def _iterate(
-    seen: Observed,
-    layout: _Layout,
-    some: tuple[Observed, _Layout, IntArray],
-    kind: _Kind,
-    terms: tuple[Term, ...],
-    start: _State,
-    settings: LeastSquares,
-) -> tuple[_State, mixed.Reduced, FloatArray]:
-    """Variance components, weights and values in turn, until the values rest; also the targets there, and each pair's weight.
-
-    `some` targets are enough for the components; all of them make the result.
-    """
-    p, c = len(terms), layout.channels
-    prior, prior_sd = np.ones(p), np.array([t.prior_sd for t in terms])
-    guess = mixed.Variances(np.array(kind.noise[:c]) ** 2, layout.guess)
+def _settle(
+    some: tuple[Observed, _Layout, IntArray], kind: _Kind, terms: tuple[Term, ...], start: _State, settings: LeastSquares
+) -> _State:
+    """Variance components, weights and values in turn, until the values rest, on `some` targets, whose trust it holds."""
     part, part_layout, which = some
+    p, c = len(terms), part_layout.channels
+    prior, prior_sd = np.ones(p), np.array([t.prior_sd for t in terms])
+    guess = mixed.Variances(np.array(kind.noise[:c]) ** 2, part_layout.guess)
     every = (0, len(which))
     state = replace(start, trust=np.ones(len(which)))
     for number in range(10):
@@ -613,6 +670,20 @@ def _iterate(
         settled = np.all(np.abs(variances.noise / noise_before - 1) <= 0.02)
         if number >= 2 and settled and np.all(np.abs(solution.value) <= 0.02 * np.sqrt(np.diag(solution.covariance))):
             break
+    return state
+
+
+def _whole(
+    seen: Observed,
+    layout: _Layout,
+    some: tuple[Observed, _Layout, IntArray],
+    terms: tuple[Term, ...],
+    settled: _State,
+    settings: LeastSquares,
+) -> tuple[_State, mixed.Reduced, FloatArray]:
+    """What some targets settled, with all of them: the state, the targets reduced there, and each pair's weight."""
+    state, which, prior_sd = settled, some[2], np.array([t.prior_sd for t in terms])
+    prior = np.ones(len(terms))
     trust = np.ones(len(layout.target))
     trust[which] = state.trust
     state = replace(state, trust=trust)
@@ -623,6 +694,31 @@ def _iterate(
         trust = _trust(reduced, mixed.solve(reduced.terms * trust[:, None, None], prior, state.value / prior_sd), settings)
         state = replace(state, trust=trust)
     return state, reduced, weight
+
+
+def _wide(
+    some: tuple[Observed, _Layout, IntArray],
+    wide: tuple[Term, ...],
+    chosen: tuple[Term, ...],
+    state: _State,
+    settings: LeastSquares,
+) -> FloatArray:
+    """The normal equations (G, q + 1, q + 1) of the `wide` model at the state of the `chosen` one, whose terms come first in it:
+    about zero, in units of the terms' prior sd."""
+    part, layout, which = some
+    every = (0, len(which))
+    pieces = in_threads(lambda blocks: _look_at(part, layout, chosen, state, blocks, wide), _blocks(layout, every))
+    products, _ = _products(part, layout, wide, state, settings, every, pieces)
+    normal = mixed.reduce(products, state.variances).terms * state.trust[:, None, None]
+    return about_zero(normal, np.r_[state.value / [t.prior_sd for t in chosen], np.zeros(len(wide) - len(chosen))])
+
+
+def about_zero(normal: FloatArray, at: FloatArray) -> FloatArray:
+    """Normal equations (G, p + 1, p + 1) whose residuals were taken at the values `at` (p,), with the residuals taken at zero."""
+    turn = np.eye(len(at) + 1)
+    turn[:-1, -1] = at
+    result: FloatArray = turn.T @ normal @ turn
+    return result
 
 
 def _spread(pieces: Sequence[_Piece]) -> FloatArray:
@@ -779,6 +875,8 @@ def _finish(
     weight: FloatArray,
     dropped: list[Dropped],
     settings: LeastSquares,
+    choices: tuple[Choice, ...],
+    doubt: FloatArray,
 ) -> Fit:
     p, c = len(terms), layout.channels
     prior, prior_sd = np.ones(p), np.array([t.prior_sd for t in terms])
@@ -824,7 +922,7 @@ def _finish(
     return Fit(
         terms=terms,
         value=(at + step) * prior_sd,
-        covariance=honest.covariance * scale,
+        covariance=(honest.covariance + doubt) * scale,
         model_covariance=honest.model * scale,
         sandwich=honest.sandwich * scale,
         bread=honest.bread * scale,
@@ -837,6 +935,8 @@ def _finish(
         information=effects[:, :, :w],
         influence=influence / prior_sd,
         held_out=(at + _held_out(scores.terms, at, layout)) * prior_sd,
+        normal=about_zero(scores.terms, at),
+        choices=choices,
         dropped=tuple(dropped),
         notes=tuple(notes),
     )
