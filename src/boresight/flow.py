@@ -222,12 +222,12 @@ def correct_files(
 
 
 def demo(out: str | Path, *, seed: int = 1, progress: Progress = _silent) -> Run:
-    """Simulate two radars with known errors, write real ASTERIX, calibrate from those files, and set found against true."""
+    """Simulate three radars with known errors, write real ASTERIX and AIS, calibrate from those files; found against true."""
     from .simulation.demo import demo_files, write_demo
 
     if seed < 0:
         raise SettingsError(f"{seed} is no seed", where="--seed", remedy="Give 0 or more.")
-    progress("simulating two radars and 30 aircraft")
+    progress("simulating three radars, 60 aircraft and 20 ships")
     folder = Path(out)
     _keep_earlier(folder, _RESULTS + tuple(p.name for p in demo_files(folder)))
     files = write_demo(folder, seed)

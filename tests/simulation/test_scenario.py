@@ -137,6 +137,9 @@ def test_the_files_hold_the_scene(demo: tuple[Simulated, Path]) -> None:
         np.testing.assert_allclose(found.pressure_altitude_m, given.pressure_altitude_m, rtol=0, atol=1e-6)
         for column in ("sensor", "channel", "mode_s", "mode_3a", "callsign", "track", "flags"):
             np.testing.assert_array_equal(getattr(found, column), getattr(given, column), err_msg=column)
+        if radar.kind == "marine":
+            assert {s.category for s in recording.sources} == {10}
+            continue
         (source,) = [s for s in recording.sources if s.category == 34]
         assert np.degrees(source.latitude_rad) == pytest.approx(radar.lat_deg, abs=1.1e-5)
         assert np.degrees(source.longitude_rad) == pytest.approx(radar.lon_deg, abs=1.1e-5)
@@ -177,14 +180,22 @@ def test_sensors_and_truth_files(demo: tuple[Simulated, Path]) -> None:
 def test_the_demonstration_shows_a_region(demo: tuple[Simulated, Path]) -> None:
     """Plots near and far, low and high, all around: or the errors could not be told apart."""
     run, _ = demo
-    for seen, furthest in zip(run.observations, (200e3, 100e3), strict=True):
-        assert len(np.unique(seen.target)) >= 20
+    for seen, furthest in zip(run.observations[:2], (200e3, 100e3), strict=True):
+        assert len(np.unique(seen.target)) >= 40
+        assert seen.target.max() < 60
         assert seen.plots.range_m.max() > furthest
         assert seen.plots.range_m.min() < 20e3
         sectors = np.unique((seen.plots.azimuth_rad / (np.pi / 4)).astype(int))
         assert len(sectors) == 8
-    assert len(run.truth) == 30
-    assert len(np.unique(run.fix_target)) == 27
+    coast = run.observations[2]
+    assert set(np.unique(coast.target)) <= set(range(60, 80))
+    assert len(np.unique(coast.target)) >= 18
+    assert (coast.plots.mode_s == -1).all()
+    assert np.isnan(coast.plots.pressure_altitude_m).all()
+    assert len(run.truth) == 80
+    assert len(np.unique(run.fix_target)) == 54
+    assert run.ais is not None
+    assert len(np.unique(run.ais.target)) == 20
 
 
 def test_same_seed_same_bytes(tmp_path: Path) -> None:

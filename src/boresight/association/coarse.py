@@ -316,7 +316,8 @@ def _known_pairs(scene: Scene, tracks: tracklets.Tracklets, names: identity.Name
 
 
 def clock_words(sensor: Sensor, bias: CoarseBias) -> list[str]:
-    if abs(bias.time_s) < _CLOCK_WARNING_S:
+    # Where targets are long and slow, what looks like time may as well be where their echoes lie: registration tells these apart.
+    if abs(bias.time_s) < _CLOCK_WARNING_S or sensor.kind in ("surface", "marine"):
         return []
     way = "late" if bias.time_s > 0 else "early"
     return [

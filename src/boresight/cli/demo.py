@@ -9,14 +9,14 @@ from ._options import Json, print_json, steps
 
 
 def demo(*, out: Path = Path("boresight-demo"), seed: int = 1, json: Json = False) -> None:
-    """Simulate radars with known errors, write real ASTERIX, calibrate, compare with the truth, write the report.
+    """Simulate radars with known errors, write real ASTERIX and AIS, calibrate, compare with the truth, write the report.
 
     Parameters
     ----------
     out
         Folder for the recordings and the report.
     seed
-        Seed of the scene: another seed, other traffic and other errors.
+        Seed of the scene: another seed, other traffic, other ships and other errors.
     json
         Print the result as JSON.
     """

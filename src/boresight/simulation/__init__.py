@@ -1,16 +1,20 @@
-"""Scenes whose errors are known: aircraft, radars with any list of error terms, ADS-B, and files of them."""
+"""Scenes whose errors are known: aircraft and ships, radars with any list of error terms, ADS-B and AIS, and files of them."""
 
 from .demo import association_scene, demo_scene, write_demo
-from .radar import Adsb, Radar, observe_adsb, observe_radar
+from .radar import Adsb, Ais, AisLog, Radar, observe_adsb, observe_ais, observe_radar
 from .scenario import Scenario, Simulated, load_scenario, simulate
-from .truth import Airport, Atmosphere, Traffic, Truth
+from .truth import Airport, Atmosphere, Shipping, Ships, Traffic, Truth
 
 __all__ = [
     "Adsb",
     "Airport",
+    "Ais",
+    "AisLog",
     "Atmosphere",
     "Radar",
     "Scenario",
+    "Shipping",
+    "Ships",
     "Simulated",
     "Traffic",
     "Truth",
@@ -18,6 +22,7 @@ __all__ = [
     "demo_scene",
     "load_scenario",
     "observe_adsb",
+    "observe_ais",
     "observe_radar",
     "simulate",
     "write_demo",

@@ -13,12 +13,15 @@ from ..model import Sensor, Sensors
 from ..terms import TERMS
 from ..writing import write_text
 from ..writing.asterix import write_asterix
-from .radar import Adsb, Radar
+from ..writing.nmea import write_ais
+from .radar import Adsb, Ais, Radar
 from .scenario import Scenario, Simulated, simulate
-from .truth import Airport, Atmosphere, Traffic
+from .truth import Airport, Atmosphere, Shipping, Traffic
 
 _AIRPORT = Airport(lat_deg=41.2971, lon_deg=2.0785, height_m=54.0, runway_deg=246.0)
 _AIR = Atmosphere(isa_deviation_k=6.0, shift_m=85.0)
+# Of the sea's surface above the ellipsoid, off Barcelona.
+_SEA_M = 49.5
 # Smallest and largest true value of each error, in the term's unit; the sign is drawn.
 _ERRORS = {
     "range_bias": (40.0, 120.0),
@@ -28,6 +31,7 @@ _ERRORS = {
     "azimuth_sin": (0.03, 0.09),
     "time_offset": (0.15, 0.6),
 }
+_MARINE_ERRORS = {"range_bias": (15.0, 45.0), "azimuth_bias": (0.3, 0.9), "time_offset": (0.5, 1.5)}
 
 
 def _draw(rng: np.random.Generator, bounds: dict[str, tuple[float, float]]) -> dict[str, float]:
@@ -36,30 +40,42 @@ def _draw(rng: np.random.Generator, bounds: dict[str, tuple[float, float]]) -> d
 
 
 def demo_scene(seed: int) -> Scenario:
-    """Two radars whose errors are drawn with `seed`, 30 aircraft, 50 minutes, ADS-B with accuracy classes, latency and gaps.
+    """Three radars whose errors are drawn with `seed`, 60 aircraft with ADS-B, 20 ships with AIS, 50 minutes.
 
     "en-route" is a Mode S radar on a hill (10 s, 240 km), "terminal" a combined PSR and Mode S radar at the airport (4 s,
-    110 km).  Neither measures elevation: CAT048 has no item for it (I048/110 is a height already computed with some model of
-    refraction and above some sea level), so terms of elevation are left to scenes that do not go through files.
+    110 km), "coastal" a 2-D marine radar above the port (3 s, 45 km) that sees ships and no identity; their echoes lie aft of
+    the middle of the hull, in proportion to their length.  None measures elevation: CAT048 has no item for it (I048/110 is a
+    height already computed with some model of refraction and above some sea level), so terms of elevation are left to scenes
+    that do not go through files.
     """
     rng = np.random.default_rng([seed, 1])
+    errors = [_draw(rng, _ERRORS), _draw(rng, _ERRORS), _draw(rng, _MARINE_ERRORS)]
+    # The superstructure of most ships is aft.
+    errors[2]["along_heading_per_length"] = round(-float(rng.uniform(0.12, 0.35)), 4)
     return Scenario(
         name=f"demonstration, seed {seed}",
         duration_s=3000.0,
-        traffic=Traffic(aircraft=30, lat_deg=41.4, lon_deg=2.0, radius_m=220e3),
+        traffic=Traffic(aircraft=60, lat_deg=41.4, lon_deg=2.0, radius_m=220e3),
         airport=(_AIRPORT,),
         atmosphere=_AIR,
         radar=(
             Radar(
                 name="en-route", sac=20, sic=1, lat_deg=41.5312, lon_deg=1.8846, height_m=782.0, kind="mode_s", scan_s=10.0,
-                max_range_m=240e3, range_sd_m=30.0, azimuth_sd_deg=0.05, errors=_draw(rng, _ERRORS),
+                max_range_m=240e3, range_sd_m=30.0, azimuth_sd_deg=0.05, errors=errors[0],
             ),
             Radar(
                 name="terminal", sac=20, sic=2, lat_deg=41.3007, lon_deg=2.1021, height_m=77.0, kind="combined", scan_s=4.0,
-                max_range_m=110e3, range_sd_m=25.0, azimuth_sd_deg=0.07, errors=_draw(rng, _ERRORS),
+                max_range_m=110e3, range_sd_m=25.0, azimuth_sd_deg=0.07, errors=errors[1],
+            ),
+            Radar(
+                name="coastal", sac=20, sic=4, lat_deg=41.3631, lon_deg=2.1662, height_m=_SEA_M + 105.0, kind="marine",
+                scan_s=3.0, min_range_m=300.0, max_range_m=45e3, min_elevation_deg=-20.0, detection=0.95, range_sd_m=8.0,
+                azimuth_sd_deg=0.12, range_quantum_m=1.0, ground_height_m=_SEA_M, errors=errors[2],
             ),
         ),
         adsb=Adsb(share=0.9),
+        shipping=Shipping(ships=20, lat_deg=41.335, lon_deg=2.18, seaward_deg=140.0, radius_m=30e3, sea_level_m=_SEA_M),
+        ais=Ais(),
     )  # fmt: skip
 
 
@@ -102,14 +118,15 @@ class DemoFiles(msgspec.Struct, frozen=True):
 def demo_files(folder: str | Path) -> tuple[Path, ...]:
     """The files that `write_demo` writes into `folder`."""
     names = [f"{radar.name}.ast" for radar in demo_scene(0).radar]
-    return tuple(Path(folder) / name for name in [*names, "adsb.ast", "sensors.toml", "truth.json"])
+    return tuple(Path(folder) / name for name in [*names, "adsb.ast", "ais.nmea", "sensors.toml", "truth.json"])
 
 
 def write_demo(folder: str | Path, seed: int = 1) -> DemoFiles:
     """Simulate the demonstration and write it to `folder`.
 
-    One ASTERIX file a radar, ``adsb.ast``, ``sensors.toml`` and ``truth.json``.  The same seed gives the same bytes.  The folder
-    is made where it does not exist.  Raises InputError where it cannot be written.
+    One ASTERIX file a radar (CAT048 with CAT034; of the marine radar CAT010, which coastal stations send: plots, not the
+    smoothed targets of NMEA's TTM), ``adsb.ast`` (CAT021), ``ais.nmea`` (AIVDM), ``sensors.toml`` and ``truth.json``.  The same
+    seed gives the same bytes.  The folder is made where it does not exist.  Raises InputError where it cannot be written.
     """
     return write_scene(simulate(demo_scene(seed), np.random.default_rng([seed, 3])), folder)
 
@@ -124,11 +141,15 @@ def write_scene(run: Simulated, folder: str | Path) -> DemoFiles:
     plots: list[Path] = []
     for radar, seen in zip(run.scenario.radar, run.observations, strict=True):
         plots.append(folder / f"{radar.name}.ast")
-        write_asterix(plots[-1], seen.plots, marks=seen.marks)
+        marks = seen.marks if len(seen.marks.time_s) else None
+        write_asterix(plots[-1], seen.plots, marks=marks, category=10 if radar.kind == "marine" else 48)
     reference: list[Path] = []
     if run.scenario.adsb is not None:
         reference.append(folder / "adsb.ast")
         write_asterix(reference[-1], fixes=run.fixes)
+    if run.ais is not None:
+        reference.append(folder / "ais.nmea")
+        write_ais(reference[-1], run.ais.positions, run.ais.statics)
     write_text(folder / "sensors.toml", sensors_toml(run.sensors))
     errors = {
         name: {term: {"true": value, "unit": TERMS[term].unit} for term, value in terms.items()}

@@ -1,4 +1,4 @@
-"""What simulated radars and ADS-B say of the truth.
+"""What simulated radars, ADS-B and AIS say of the truth.
 
 A radar's plot is ``measured = h(truth at t - time_offset) + sum of value * column(geometry) + noise`` with the columns of
 `terms`, stamped t: the truth is taken when the rotating antenna points at the target, not on a grid of scans.
@@ -18,6 +18,7 @@ from ..measure import heading_about, polar_from_enu, polar_motion, position_from
 from ..model import Channel, Fixes, Flag, Plots, Sensor
 from ..terms import TERMS, Geometry
 from ..writing.asterix import Marks, accuracy_sd_m
+from ..writing.nmea import KNOT_MPS, AisPositions, AisStatics
 from .truth import STEP_S, Truth
 
 # The quanta of CAT048 and CAT021.
@@ -32,9 +33,10 @@ class Radar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     `errors` maps names of `terms.TERMS` to values in the terms' own units (deg, m, m/km, s).  With `elevation_sd_deg` it measures
     elevation.  A quantum of 0 leaves the value as it is.  `kind` decides the identity that its plots carry: mode_s and combined
-    all of it, ssr Mode 3/A and altitude, psr none; ``identity=False`` takes address, code and callsign away and leaves the
-    altitude.  Secondary ranges carry each aircraft's transponder delay.  `false_plots` are per scan.  `first_north_s` is when the
-    antenna first points north (None: drawn).
+    all of it, ssr Mode 3/A and altitude, psr and marine none; a marine radar sees the ships, all others the aircraft.
+    ``identity=False`` takes address, code and callsign away and leaves the altitude.  Secondary ranges carry each aircraft's
+    transponder delay.  `false_plots` are per scan.  `first_north_s` is when the antenna first points north (None: drawn).
+    `ground_height_m` is what sensors.toml tells of the ground, or the sea.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Radar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     identity: bool = True
     height_from_elevation: bool = False
     false_plots: float = 0.0
+    ground_height_m: float | None = None
     errors: dict[str, float] = msgspec.field(default_factory=dict)
 
     @property
@@ -77,6 +80,7 @@ class Radar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             kind=self.kind,
             scan_s=self.scan_s,
             max_range_m=self.max_range_m,
+            ground_height_m=self.ground_height_m,
         )
 
     @property
@@ -112,6 +116,32 @@ class Adsb(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     gap_s: float = 15.0
     time_quantum_s: float = ASTERIX_TIME_S
     identity: bool = True
+
+
+class Ais(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A shore station and what ships tell it.
+
+    Class A ships report every 10 s, every 6 s above 14 kn and every 2 s above 23 kn, three times as often while they turn, every
+    3 minutes at anchor; class B every 30 s (ITU-R M.1371); each report is lost with `loss`.  Static data go out every `static_s`.
+    A position is of a whole second of UTC, `latency_mean_s` and `latency_sd_s` (over ships) late; `correlated` of its error's
+    variance wanders with `correlation_s`.
+    """
+
+    loss: float = 0.05
+    static_s: float = 360.0
+    latency_mean_s: float = 0.0
+    latency_sd_s: float = 0.2
+    correlated: float = 0.8
+    correlation_s: float = 600.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AisLog:
+    """What the shore station received: reports, the number of the ship's target of each (n,), and static data."""
+
+    positions: AisPositions
+    target: IntArray
+    statics: AisStatics
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,14 +182,14 @@ def geometry_at(truth: Truth, radar: Radar, target: IntArray, seconds: FloatArra
         rate=rate,
         second=second,
         third=third,
-        heading_rad=heading_about(truth.course_rad(motion.position, motion.velocity), motion.position, rotation),
-        length_m=truth.aircraft.length_m[target],
+        heading_rad=heading_about(truth.heading_rad(target, seconds, motion), motion.position, rotation),
+        length_m=truth.length_m[target],
         time_s=seconds,
     )
 
 
 def _passings(truth: Truth, radar: Radar, first_north_s: float) -> tuple[IntArray, FloatArray]:
-    """When the antenna points at each target: targets and times (n,), seconds after the epoch.
+    """When the antenna points at each target that this kind of radar sees: targets and times (n,), seconds after the epoch.
 
     The target's azimuth less the antenna's falls steadily, so every whole turn of it is one passing: found on a grid of a second
     (or a quarter of a scan), then by Newton's method.
@@ -168,7 +198,7 @@ def _passings(truth: Truth, radar: Radar, first_north_s: float) -> tuple[IntArra
     origin, rotation = site(radar)
     targets: list[IntArray] = []
     times: list[FloatArray] = []
-    for k in range(len(truth)):
+    for k in range(truth.flights, len(truth)) if radar.kind == "marine" else range(truth.flights):
         if truth.last_s[k] - truth.first_s[k] < step:
             continue
         count = int((truth.last_s[k] - truth.first_s[k]) / step) + 1
@@ -238,7 +268,7 @@ def observe_radar(truth: Truth, radar: Radar, rng: np.random.Generator) -> Obser
     for name, value in radar.errors.items():
         if name != "time_offset":
             measured += value * TERMS[name].si_per_unit * TERMS[name].columns(geometry)
-    secondary = radar.kind != "psr"
+    secondary = radar.kind not in _PRIMARY
     if secondary:
         measured[:, 0] += truth.aircraft.transponder_delay_m[target]
     measured += noise
@@ -266,7 +296,7 @@ def _plots(
 ) -> Plots:
     """The table of the measured values, with the identity that the radar's kind gives."""
     craft = truth.aircraft
-    secondary, addressed = radar.kind != "psr", radar.kind in ("mode_s", "combined")
+    secondary, addressed = radar.kind not in _PRIMARY, radar.kind in ("mode_s", "combined")
     origin, rotation = site(radar)
     azimuth = wrap_turn(_rounded(measured[:, 1], math.radians(radar.azimuth_quantum_deg)))
     columns: dict[str, AnyArray] = {
@@ -294,7 +324,14 @@ def _plots(
     return Plots(**columns)
 
 
-_CHANNELS = {"psr": Channel.PSR, "ssr": Channel.SSR, "mode_s": Channel.MODE_S, "combined": Channel.MODE_S_PSR}
+_PRIMARY = ("psr", "marine")
+_CHANNELS = {
+    "psr": Channel.PSR,
+    "marine": Channel.PSR,
+    "ssr": Channel.SSR,
+    "mode_s": Channel.MODE_S,
+    "combined": Channel.MODE_S_PSR,
+}
 
 
 def _with_false_plots(
@@ -316,7 +353,7 @@ def _with_false_plots(
     false = Plots(
         time_s=_rounded(truth.epoch_s + when + radar.time_offset_s, radar.time_quantum_s),
         sensor=np.full(count, radar.sac << 8 | radar.sic),
-        channel=np.full(count, Channel.PSR if radar.kind in ("psr", "combined") else _CHANNELS[radar.kind]),
+        channel=np.full(count, Channel.PSR if radar.kind == "combined" else _CHANNELS[radar.kind]),
         range_m=_rounded(np.sqrt(rng.uniform(inner, outer, count)), radar.range_quantum_m),
         azimuth_rad=wrap_turn(_rounded(2 * np.pi * (when - north) / radar.scan_s, math.radians(radar.azimuth_quantum_deg))),
         elevation_rad=elevation if radar.elevation_sd_deg is not None else np.full(count, np.nan),
@@ -332,9 +369,10 @@ def _with_false_plots(
 
 
 def _north_marks(truth: Truth, radar: Radar, north: float) -> Marks:
-    """One north mark a turn, with the radar's position and its rotation period."""
+    """One north mark a turn, with the radar's position and its rotation period; a marine radar gives none."""
     span = float(truth.last_s.max()) if len(truth) else 0.0
-    when = north + radar.scan_s * np.arange(max(0, math.floor((span - north) / radar.scan_s) + 1))
+    turns = 0 if radar.kind == "marine" else max(0, math.floor((span - north) / radar.scan_s) + 1)
+    when = north + radar.scan_s * np.arange(turns)
     n = len(when)
     return Marks(
         time_s=np.asarray(truth.epoch_s + when + radar.time_offset_s, np.float64),
@@ -378,7 +416,7 @@ def observe_adsb(truth: Truth, adsb: Adsb, rng: np.random.Generator) -> tuple[Fi
     stamps: list[FloatArray] = []
     errors: list[FloatArray] = []
     craft = truth.aircraft
-    for k, own in enumerate(rng.spawn(len(truth))):
+    for k, own in enumerate(rng.spawn(truth.flights)):
         span = float(truth.last_s[k] - truth.first_s[k])
         if craft.accuracy[k] < 0 or span < 2.0:
             continue
@@ -435,3 +473,90 @@ def observe_adsb(truth: Truth, adsb: Adsb, rng: np.random.Generator) -> tuple[Fi
         record=np.arange(len(target)),
     )
     return fixes, target
+
+
+def observe_ais(truth: Truth, ais: Ais, rng: np.random.Generator) -> AisLog:
+    """The reports and static data of all ships, each in the order of sending."""
+    ships = truth.ships
+    targets: list[IntArray] = []
+    applies: list[FloatArray] = []
+    sent: list[FloatArray] = []
+    errors: list[FloatArray] = []
+    told: list[tuple[FloatArray, IntArray]] = []
+    for k, own in enumerate(rng.spawn(len(ships))):
+        target = truth.flights + k
+        span = float(truth.last_s[target] - truth.first_s[target])
+        grid = truth.first_s[target] + np.arange(0.0, span, STEP_S)
+        motion = truth.motion(np.full(len(grid), target), grid, derivatives=2)
+        speed = np.sqrt(np.einsum("ij,ij->i", motion.velocity, motion.velocity)) / KNOT_MPS
+        # Turning: more than 5 degrees in 30 seconds, as the standard has it.
+        course = np.unwrap(truth.course_rad(motion.position, motion.velocity))
+        turned = np.abs(course - course[np.maximum(np.arange(len(grid)) - 30, 0)]) > math.radians(5.0)
+        every = np.where(speed > 23.0, 2.0, np.where(speed > 14.0, 6.0, 10.0)) / np.where(turned & (speed <= 23.0), 3.0, 1.0)
+        every = np.where(speed <= 3.0, 180.0, 30.0 if ships.class_b[k] else every)
+        when: list[float] = []
+        now = float(own.uniform(0.0, every[0])) if len(grid) else span
+        while now < span - 1.0:
+            when.append(now)
+            # Slots are taken within a tenth of the interval about the nominal time.
+            now += float(every[int(now)]) * (0.9 + 0.2 * own.random())
+        going_out = truth.epoch_s + truth.first_s[target] + np.array(when)
+        # The receiver's last fix on a whole second.
+        fix = np.floor(going_out - own.uniform(0.1, 0.9, len(when)))
+        kept = own.random(len(when)) >= ais.loss
+        at = fix - ships.latency_s[k] - truth.epoch_s
+        kept &= (at >= truth.first_s[target]) & (at <= truth.last_s[target])
+        wander = _wander(at[kept] - truth.first_s[target], span + 2.0, ais.correlation_s, own)
+        white = own.normal(0.0, 1.0, (len(wander), 2))
+        errors.append(ships.position_sd_m[k] * (math.sqrt(ais.correlated) * wander + math.sqrt(1 - ais.correlated) * white))
+        targets.append(np.full(len(wander), target, np.int64))
+        applies.append(fix[kept])
+        sent.append(going_out[kept])
+        static = truth.epoch_s + truth.first_s[target] + np.arange(float(own.uniform(0.0, ais.static_s)), span, ais.static_s)
+        told.append((static, np.full(len(static), k, np.int64)))
+    out = np.concatenate([np.empty(0), *sent])
+    order = np.argsort(out, kind="stable")
+    out, fix = out[order], np.concatenate([np.empty(0), *applies])[order]
+    whose = np.concatenate([np.empty(0, np.int64), *targets])[order]
+    error = np.concatenate([np.empty((0, 2)), *errors])[order]
+    row = whose - truth.flights
+
+    seconds = fix - ships.latency_s[row] - truth.epoch_s
+    motion = truth.motion(whose, seconds, derivatives=1)
+    latitude, longitude, _ = geodetic_from_ecef(motion.position)
+    rotation = enu_from_ecef(latitude, longitude)
+    heading = truth.heading_rad(whose, seconds, motion)
+    # The antenna stands ahead of the middle of the hull by `ahead`, and right of it by `right`.
+    ahead, right = ships.length_m[row] / 2 - ships.bow_m[row], ships.port_m[row] - ships.width_m[row] / 2
+    east = ahead * np.sin(heading) + right * np.cos(heading) + error[:, 0]
+    north = ahead * np.cos(heading) - right * np.sin(heading) + error[:, 1]
+    antenna = motion.position + east[:, None] * rotation[:, 0] + north[:, None] * rotation[:, 1]
+    latitude, longitude, _ = geodetic_from_ecef(antenna)
+    velocity = rotate(rotation, motion.velocity)
+    positions = AisPositions(
+        sent_s=np.asarray(out, np.float64),
+        mmsi=ships.mmsi[row],
+        class_b=ships.class_b[row],
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        speed_mps=np.hypot(velocity[:, 0], velocity[:, 1]),
+        course_rad=np.arctan2(velocity[:, 0], velocity[:, 1]),
+        heading_rad=np.where(ships.class_b[row], np.nan, heading + ships.gyro_rad[row]),
+        second=np.asarray(fix % 60, np.int64),
+        accurate=ships.position_sd_m[row] < 3.0,
+    )
+    when_told = np.concatenate([np.empty(0), *(t for t, _ in told)])
+    order = np.argsort(when_told, kind="stable")
+    row = np.concatenate([np.empty(0, np.int64), *(k for _, k in told)])[order]
+    statics = AisStatics(
+        sent_s=np.asarray(when_told[order], np.float64),
+        mmsi=ships.mmsi[row],
+        class_b=ships.class_b[row],
+        callsign=ships.callsign[row],
+        ship_type=ships.ship_type[row],
+        bow_m=ships.bow_m[row],
+        stern_m=ships.length_m[row] - ships.bow_m[row],
+        port_m=ships.port_m[row],
+        starboard_m=ships.width_m[row] - ships.port_m[row],
+    )
+    return AisLog(positions, whose, statics)

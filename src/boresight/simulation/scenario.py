@@ -1,4 +1,4 @@
-"""Scenarios: traffic, radars and ADS-B as one value, read from TOML, and the run that makes plots and fixes of it."""
+"""Scenarios: traffic, shipping, radars, ADS-B and AIS as one value, read from TOML, and the run that makes tables of it."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from ..errors import SettingsError
 from ..model import Fixes, Plots, Sensors, check_sensors, pack_callsigns
 from ..terms import TERMS
 from ..writing.asterix import Marks
-from .radar import Adsb, Observation, Radar, observe_adsb, observe_radar
-from .truth import Aircraft, Airport, Atmosphere, Traffic, Truth, fly_traffic
+from .radar import Adsb, Ais, AisLog, Observation, Radar, observe_adsb, observe_ais, observe_radar
+from .truth import Aircraft, Airport, Atmosphere, Shipping, Traffic, Truth, fly_traffic, sail_shipping
 
-_KINDS = ("psr", "ssr", "mode_s", "combined")
+_KINDS = ("psr", "ssr", "mode_s", "combined", "marine")
 _AIRLINES = ("IBE", "VLG", "RYR", "AFR", "DLH", "BAW", "EZY", "KLM", "SWR", "TAP")
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A scene: who flies where, who watches.  `start` is UTC; in TOML the radars are ``[[radar]]`` tables."""
+    """A scene: who flies and sails where, who watches.  `start` is UTC; in TOML the radars are ``[[radar]]`` tables."""
 
     name: str = "scene"
     start: datetime.datetime = datetime.datetime(2026, 3, 1, 10, 0, tzinfo=datetime.UTC)
@@ -33,6 +33,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     atmosphere: Atmosphere = Atmosphere()
     radar: tuple[Radar, ...] = ()
     adsb: Adsb | None = None
+    shipping: Shipping | None = None
+    ais: Ais | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +42,8 @@ class Simulated:
     """What a scene gave, and what is true of it.
 
     `observations` are in the order of the scenario's radars, each in the order of stamps.  `fix_target` (m,) tells whose each fix
-    is.  A radar's file holds its plots in the same order, so row numbers agree before and after writing.
+    is.  A radar's file holds its plots in the same order, so row numbers agree before and after writing.  `ais` is what the ships
+    sent, where the scene has AIS.
     """
 
     scenario: Scenario
@@ -48,6 +51,7 @@ class Simulated:
     observations: tuple[Observation, ...]
     fixes: Fixes
     fix_target: IntArray
+    ais: AisLog | None = None
 
     @property
     def sensors(self) -> Sensors:
@@ -97,7 +101,10 @@ def load_scenario(path: str | Path) -> Scenario:
 
 def _known_keys(message: str) -> str:
     """The keys of the table that an error message of msgspec points at."""
-    tables = {"radar": Radar, "adsb": Adsb, "traffic": Traffic, "airport": Airport, "atmosphere": Atmosphere}
+    tables = {
+        "radar": Radar, "adsb": Adsb, "traffic": Traffic, "airport": Airport, "atmosphere": Atmosphere, "shipping": Shipping,
+        "ais": Ais,
+    }  # fmt: skip
     found = next((table for name, table in tables.items() if f"$.{name}" in message), Scenario)
     return ", ".join(found.__struct_fields__)
 
@@ -128,8 +135,27 @@ def check_scenario(scenario: Scenario, where: str = "scenario") -> None:
                 raise SettingsError(f"there is no error term {term!r}", where=place, remedy=f"Terms: {', '.join(TERMS)}.")
             if "elevation" in TERMS[term].needs and radar.elevation_sd_deg is None:
                 raise SettingsError(f"{term} needs a radar that measures elevation", where=place, remedy="Give elevation_sd_deg.")
+        if radar.kind == "marine" and scenario.shipping is None:
+            raise SettingsError("a marine radar sees ships, and there are none", where=place, remedy="Give [shipping].")
         if not 0 < radar.detection <= 1 or min(radar.time_sd_s, radar.false_plots) < 0:
             raise SettingsError("detection must be within 0 … 1, time_sd_s and false_plots not negative", where=place)
+    shipping = scenario.shipping
+    if shipping is not None:
+        place = f"{where}: shipping"
+        parts = (shipping.passing, shipping.calling, shipping.fishing, shipping.anchored)
+        if not 1 <= shipping.ships <= 2000:
+            raise SettingsError(f"ships = {shipping.ships} is not within 1 … 2,000", where=place)
+        if min(parts) < 0 or sum(parts) > 1 + 1e-9:
+            raise SettingsError("shares must be positive, and together at most 1", where=place)
+        if not 5e3 <= shipping.radius_m <= 100e3 or not abs(shipping.lat_deg) <= 75:
+            raise SettingsError("needs radius_m within 5,000 … 100,000 and lat_deg within -75 … 75", where=place)
+    ais = scenario.ais
+    if ais is not None:
+        place = f"{where}: ais"
+        if shipping is None:
+            raise SettingsError("AIS is of ships, and there are none", where=place, remedy="Give [shipping].")
+        if not (0 <= ais.loss < 1 and 0 <= ais.correlated <= 1 and ais.static_s > 0 and ais.correlation_s > 0):
+            raise SettingsError("loss and correlated are within 0 … 1, static_s and correlation_s positive", where=place)
     adsb = scenario.adsb
     if adsb is not None:
         place = f"{where}: adsb"
@@ -180,7 +206,7 @@ def _equip(scenario: Scenario, rng: np.random.Generator) -> Aircraft:
 
 
 def simulate(scenario: Scenario, seed: int | np.random.Generator) -> Simulated:
-    """Fly the scenario's traffic and let its radars and ADS-B watch.
+    """Fly the scenario's traffic, sail its ships, and let its radars, ADS-B and AIS watch.
 
     The same scenario and seed give the same tables; another radar in the list changes neither the traffic nor the other radars'
     noise.  Raises SettingsError for what cannot be simulated.
@@ -197,6 +223,13 @@ def simulate(scenario: Scenario, seed: int | np.random.Generator) -> Simulated:
         aircraft,
         flights,
     )
+    # Of the equipment's seed, so that neither ships nor radars change what the others draw.
+    voyages, messages = equipment.spawn(2)
+    ais = scenario.ais
+    if scenario.shipping is not None:
+        latency = (0.0, 0.0) if ais is None else (ais.latency_mean_s, ais.latency_sd_s)
+        truth = sail_shipping(scenario.shipping, truth, scenario.duration_s, latency, voyages)
     observations = tuple(observe_radar(truth, radar, rng) for radar, rng in zip(scenario.radar, watches, strict=True))
     fixes, fix_target = (Fixes(), np.empty(0, np.int64)) if scenario.adsb is None else observe_adsb(truth, scenario.adsb, reports)
-    return Simulated(scenario, truth, observations, fixes, fix_target)
+    log = None if ais is None else observe_ais(truth, ais, messages)
+    return Simulated(scenario, truth, observations, fixes, fix_target, log)

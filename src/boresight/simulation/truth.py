@@ -1,14 +1,14 @@
-"""Where simulated aircraft truly are: routes flown with limited bank, speed and climb, as smooth functions of time.
+"""Where simulated aircraft and ships truly are: routes with limited bank, turn, speed and climb, as smooth functions of time.
 
-A flight is first flown in steps of one second by a simple autopilot along its waypoints.  The truth is then, by definition, the
-quintic spline through these positions in Earth-centred axes: its velocity, acceleration and jerk at any time are exact
-derivatives of its position.
+A flight or voyage is first gone through in steps of one second by a simple autopilot along its waypoints.  The truth is then, by
+definition, the quintic spline through these positions in Earth-centred axes: its velocity, acceleration and jerk at any time are
+exact derivatives of its position.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
@@ -16,6 +16,7 @@ import numpy as np
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate
+from ..model import pack_callsigns
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -99,6 +100,60 @@ class Aircraft:
     interval_s: FloatArray
 
 
+class Shipping(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How many ships sail off a port, and the shares of what they do; what the shares leave to 1 are pleasure craft.
+
+    `lat_deg` and `lon_deg` are the port's entrance, `seaward_deg` the direction from it straight out to sea; the coast runs at
+    right angles.  `passing` merchant ships keep to two lanes along the coast, one for each direction, `calling` ones go in and
+    out, `fishing` boats and pleasure craft wander, `anchored` ships swing at the roads.  `sea_level_m` is ellipsoidal;
+    `current_mps` sets roughly along the coast, so that headings differ from courses.
+    """
+
+    ships: int = 20
+    lat_deg: float = 41.3
+    lon_deg: float = 2.2
+    seaward_deg: float = 140.0
+    radius_m: float = 30e3
+    passing: float = 0.4
+    calling: float = 0.3
+    fishing: float = 0.15
+    anchored: float = 0.05
+    sea_level_m: float = 0.0
+    current_mps: float = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ships:
+    """The simulated ships: columns (m,).
+
+    Where a ship is, is where the middle of its hull is; its GNSS antenna is `bow_m` behind the bow and `port_m` right of the port
+    side, whole metres as static data tell them.  `ship_type` is AIS's code, `class_b` the lighter equipment of small craft.
+    `gyro_rad` is the compass's error, `latency_s` by how much positions are stamped late, `position_sd_m` the accuracy of the
+    ship's receiver, an sd per axis.
+    """
+
+    mmsi: IntArray
+    callsign: IntArray
+    ship_type: IntArray
+    length_m: FloatArray
+    width_m: FloatArray
+    bow_m: FloatArray
+    port_m: FloatArray
+    class_b: BoolArray
+    gyro_rad: FloatArray
+    latency_s: FloatArray
+    position_sd_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.mmsi)
+
+
+def no_ships() -> Ships:
+    """No ships at all."""
+    none, nothing = np.empty(0, np.int64), np.empty(0)
+    return Ships(none, none, none, nothing, nothing, nothing, nothing, np.empty(0, np.bool_), nothing, nothing, nothing)
+
+
 class Motion(NamedTuple):
     """Position and its derivatives (n, 3), Earth-centred axes, SI; NaN outside the flight."""
 
@@ -110,9 +165,10 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """All flights as functions of time.
+    """All flights and voyages as functions of time.
 
-    `epoch_s` is the scene's begin (UTC); flight k exists from `first_s[k]` to `last_s[k]`, seconds after the epoch.
+    `epoch_s` is the scene's begin (UTC); target k exists from `first_s[k]` to `last_s[k]`, seconds after the epoch.  The aircraft
+    come first, then the ships; `headings` are the ships' alone (an aircraft points where it flies).
     """
 
     epoch_s: float
@@ -121,9 +177,21 @@ class Truth:
     aircraft: Aircraft
     atmosphere: Atmosphere
     curves: tuple[BSpline, ...]
+    ships: Ships = field(default_factory=no_ships)
+    headings: tuple[BSpline, ...] = ()
 
     def __len__(self) -> int:
         return len(self.curves)
+
+    @property
+    def flights(self) -> int:
+        """The number of aircraft: the number of the first ship."""
+        return len(self.curves) - len(self.headings)
+
+    @property
+    def length_m(self) -> FloatArray:
+        """The length of every target (n,)."""
+        return np.concatenate([self.aircraft.length_m, self.ships.length_m])
 
     def motion(self, target: IntArray, seconds: FloatArray, derivatives: int = 3) -> Motion:
         """Position, velocity, acceleration and jerk of targets (n,) at times (n,), seconds after the epoch.
@@ -151,6 +219,14 @@ class Truth:
         latitude, longitude, _ = geodetic_from_ecef(position)
         local = rotate(enu_from_ecef(latitude, longitude), velocity)
         return np.arctan2(local[:, 0], local[:, 1])
+
+    def heading_rad(self, target: IntArray, seconds: FloatArray, motion: Motion) -> FloatArray:
+        """Where targets (n,) point, clockwise from true north: aircraft along their course, ships where they are steered."""
+        out = self.course_rad(motion.position, motion.velocity)
+        for k in np.unique(target[target >= self.flights]).tolist():
+            rows = target == k
+            out[rows] = self.headings[k - self.flights](np.clip(seconds[rows], self.first_s[k], self.last_s[k]))
+        return out
 
 
 class _Plan(NamedTuple):
@@ -404,3 +480,162 @@ def fly_traffic(
         atmosphere=atmosphere,
         curves=tuple(curves),
     )
+
+
+# What sails: AIS type, shortest and longest (m), slowest and fastest (knots), antenna's place (share of the length from the bow).
+_MERCHANT = ((70, 80.0, 300.0, 10.0, 20.0, 0.82), (80, 90.0, 280.0, 9.0, 15.0, 0.82))
+_CALLER = ((70, 70.0, 220.0, 9.0, 18.0, 0.82), (60, 110.0, 225.0, 15.0, 20.0, 0.3))
+_FISHING = ((30, 12.0, 30.0, 5.0, 9.0, 0.4),)
+_PLEASURE = ((37, 10.0, 24.0, 5.0, 18.0, 0.55), (36, 10.0, 18.0, 5.0, 7.0, 0.6))
+_KNOT_MPS = 1852.0 / 3600.0
+_COUNTRIES = (224, 225, 247, 228, 248, 256, 311, 636, 538, 255)
+
+
+def sail_shipping(
+    shipping: Shipping, truth: Truth, duration_s: float, latency_s: tuple[float, float], rng: np.random.Generator
+) -> Truth:
+    """The same truth with the ships of a scene added behind the aircraft.
+
+    Lengths, speeds, antennas and turning follow the kind of ship; big ships turn slowly.  Each sails through the water where it
+    points and drifts with the current, so heading and course differ by some degrees.  `latency_s` is the mean and sd over ships
+    of how late positions are stamped.
+    """
+    n = shipping.ships
+    if not n:
+        return truth
+    passing, calling = round(shipping.passing * n), round(shipping.calling * n)
+    fishing, anchored = round(shipping.fishing * n), round(shipping.anchored * n)
+    rest = max(n - passing - calling - fishing - anchored, 0)
+    trade = np.repeat([0, 1, 2, 3, 4], [passing, calling, fishing, anchored, rest])[:n]
+    kinds = (_MERCHANT, _CALLER, _FISHING, _MERCHANT, _PLEASURE)
+    kind = [kinds[t][int(rng.integers(len(kinds[t])))] for t in trade]
+    code = np.array([k[0] for k in kind], np.int64)
+    low, high, slow, fast, antenna = np.array([k[1:] for k in kind]).T
+    length = np.rint(low * (high / low) ** rng.random(n))
+    speed = rng.uniform(slow, fast) * _KNOT_MPS
+    width = np.maximum(np.rint(length / rng.uniform(5.5, 7.5, n) + 1.5), 3.0)
+    bow = np.clip(np.rint(length * (antenna + rng.uniform(-0.06, 0.06, n))), 1.0, length - 1.0)
+    port = np.clip(np.rint(width * rng.uniform(0.35, 0.65, n)), 1.0, width - 1.0)
+    mmsi = rng.choice(_COUNTRIES, n).astype(np.int64) * 1_000_000 + rng.choice(999_999, n, replace=False)
+    exact = rng.random(n) < 0.5
+    ships = Ships(
+        mmsi=mmsi,
+        callsign=pack_callsigns([f"E{chr(65 + k % 26)}{int(v):04d}" for k, v in enumerate(rng.choice(9999, n, replace=False))]),
+        ship_type=code,
+        length_m=length,
+        width_m=width,
+        bow_m=bow,
+        port_m=port,
+        class_b=trade == 4,
+        gyro_rad=np.radians(rng.normal(0.0, 0.7, n)),
+        latency_s=latency_s[0] + latency_s[1] * rng.normal(0.0, 1.0, n),
+        position_sd_m=np.where(exact, 2.0, 5.0),
+    )
+    points, lasts = _voyages(shipping, trade, speed, duration_s, rng)
+    place, heading, sailed = _sail(points, speed, length, lasts, shipping, int(duration_s / STEP_S) + 12)
+    when = STEP_S * np.arange(place.shape[1])
+    for k in np.flatnonzero(trade == 3):
+        turns = when / rng.uniform(500.0, 900.0) + rng.random()
+        swing = rng.uniform(0.0, 2 * math.pi) + math.radians(25.0) * np.sin(2 * math.pi * turns)
+        place[k] = points[k, 0] - (0.6 * length[k] + 80.0) * np.stack([np.sin(swing), np.cos(swing)], axis=1)
+        heading[k], sailed[k] = swing, len(when)
+
+    lat0, lon0 = math.radians(shipping.lat_deg), math.radians(shipping.lon_deg)
+    latitude = lat0 + place[:, :, 1] / _EARTH_M
+    longitude = lon0 + place[:, :, 0] / (_EARTH_M * math.cos(lat0))
+    position = ecef_from_geodetic(latitude, longitude, np.full(latitude.shape, shipping.sea_level_m))
+
+    from scipy.interpolate import make_interp_spline
+
+    last = np.minimum((sailed - 1) * STEP_S, duration_s)
+    curves = tuple(make_interp_spline(when[: sailed[k]], position[k, : sailed[k]], k=_DEGREE) for k in range(n))
+    headings = tuple(make_interp_spline(when[: sailed[k]], heading[k, : sailed[k]], k=3) for k in range(n))
+    return replace(
+        truth,
+        first_s=np.concatenate([truth.first_s, np.zeros(n)]),
+        last_s=np.concatenate([truth.last_s, last]),
+        curves=truth.curves + curves,
+        ships=ships,
+        headings=headings,
+    )
+
+
+def _voyages(
+    shipping: Shipping, trade: IntArray, speed: FloatArray, duration_s: float, rng: np.random.Generator
+) -> tuple[FloatArray, BoolArray]:
+    """Waypoints (n, w, 2) east and north of the port, padded with the last one, and which ships stop at their last one."""
+    out, along = _unit(math.radians(shipping.seaward_deg)), _unit(math.radians(shipping.seaward_deg + 90.0))
+    reach = shipping.radius_m
+    routes: list[list[FloatArray]] = []
+    for k, what in enumerate(trade.tolist()):
+        way = speed[k] * duration_s
+        if what == 0:
+            side = 1.0 if k % 2 else -1.0
+            # Traffic keeps to starboard: the two directions have lanes of their own.
+            lane = out * reach * ((0.42 if side > 0 else 0.58) + rng.uniform(-0.04, 0.04))
+            middle = rng.uniform(-0.45, 0.45) * reach
+            bend = out * rng.uniform(-0.08, 0.08) * reach
+            ends = middle - side * way / 2, middle + side * (way / 2 + 5e3)
+            routes.append([lane + ends[0] * along, lane + middle * along + bend, lane + ends[1] * along])
+        elif what == 1:
+            fan = math.radians(shipping.seaward_deg + rng.uniform(-55.0, 55.0))
+            pilot = 0.12 * reach * out
+            far = pilot + rng.uniform(0.5, 0.85) * reach * _unit(fan)
+            part = min(1.0, way / float(np.hypot(*(far - pilot))))
+            if k % 2:
+                routes.append([pilot + rng.uniform(0.5 * part, part) * (far - pilot), pilot, 300.0 * out])
+            else:
+                begin = pilot + rng.uniform(0.0, max(1.0 - part, 0.05)) * (far - pilot)
+                routes.append([begin, far, far + 20e3 * _unit(fan)])
+        elif what == 3:
+            routes.append([(0.16 + 0.08 * rng.random()) * reach * out + rng.uniform(-0.2, 0.2) * reach * along])
+        else:
+            here = rng.uniform(0.12, 0.6) * reach * out + rng.uniform(-0.5, 0.5) * reach * along
+            legs = [here]
+            while len(legs) < 14:
+                ahead = legs[-1] + rng.uniform(1.5e3, 6e3) * _unit(rng.uniform(0.0, 2 * math.pi))
+                if 0.06 * reach < ahead @ out < 0.75 * reach and abs(ahead @ along) < 0.7 * reach:
+                    legs.append(ahead)
+            routes.append(legs)
+    width = max(2, *(len(route) for route in routes))
+    points = np.array([[*route, *([route[-1]] * (width - len(route)))] for route in routes])
+    return points, (trade == 1) & (np.arange(len(trade)) % 2 == 1)
+
+
+def _sail(
+    points: FloatArray, speed: FloatArray, length: FloatArray, stops: BoolArray, shipping: Shipping, steps: int
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Sail all routes in steps of a second: positions (n, steps, 2) east and north of the port, headings, and steps sailed."""
+    n = len(points)
+    row = np.arange(n)
+    current = shipping.current_mps * _unit(math.radians(shipping.seaward_deg + 60.0))
+    # A ship turns about three lengths wide, and takes its time to begin to.
+    sharpest = np.minimum(speed / (3.0 * length), math.radians(3.0))
+    inertia = np.clip(length / 6.0, 4.0, 40.0)
+    here = points[:, 0].copy()
+    first = points[:, 1] - here
+    heading, turning, now = np.arctan2(first[:, 0], first[:, 1]), np.zeros(n), speed.copy()
+    goal = np.ones(n, np.int64)
+    place, pointing = np.empty((n, steps, 2)), np.empty((n, steps))
+    sailed, going = np.full(n, steps, np.int64), np.ones(n, np.bool_)
+    for k in range(steps):
+        place[:, k], pointing[:, k] = here, heading
+        there = points[row, goal] - here
+        far = np.hypot(there[:, 0], there[:, 1])
+        arrived = far < 4.0 * length + 100.0
+        final = (points[row, goal] == points[:, -1]).all(axis=1)
+        done = going & stops & (far < 200.0) & final
+        sailed[done] = k + 1
+        going &= ~done
+        goal = np.where(arrived & ~final, goal + 1, goal)
+        # At its last waypoint a ship that does not stop there holds its course.
+        wish = np.where(arrived & final, heading, np.arctan2(there[:, 0], there[:, 1]))
+        error = np.mod(wish - heading + np.pi, 2 * np.pi) - np.pi
+        turning += (np.clip(error / (3.0 * inertia), -sharpest, sharpest) - turning) / inertia * STEP_S
+        heading = heading + turning * STEP_S
+        # Into the port at manoeuvring speed.
+        wanted = np.where(stops & final, np.minimum(speed, 3.0 + far * 1.2e-3), speed)
+        now = now + np.clip((wanted - now) / 60.0, -0.05, 0.05) * STEP_S
+        step = now[:, None] * np.stack([np.sin(heading), np.cos(heading)], axis=1) + current
+        here = here + np.where(going[:, None], step * STEP_S, 0.0)
+    return place, pointing, sailed

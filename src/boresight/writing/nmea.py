@@ -1,4 +1,4 @@
-"""NMEA 0183: a marine radar's targets (TTM), targets with a position (TLL), own ship (GGA, OSD, RMC), the date (ZDA).
+"""NMEA 0183: a marine radar's targets (TTM), targets with a position (TLL), own ship (GGA, OSD, RMC), the date (ZDA); AIS.
 
 Quanta: distance 0.00001 NM (2 cm), bearing 0.0001 deg, position 0.0000001 min (0.2 mm), time 0.001 s, speed 0.001 kn.  All
 bearings are true.  What the sentences have no field for is counted, not written.
@@ -10,11 +10,12 @@ import datetime
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
-from .._types import FloatArray
+from .._types import BoolArray, FloatArray, IntArray
 from ..errors import InputError, SettingsError
 from ..measure import sensors_of, true_azimuth
 from ..model import Fixes, Flag, Platform, Plots, Sensors, Tracks, unpack_callsigns
@@ -309,3 +310,98 @@ def _fixed_site(plots: Plots, sensors: Sensors | None) -> str:
     assert sensor.lon_deg is not None
     height = sensor.ellipsoidal_height_m
     return _gga(0.0, math.radians(sensor.lat_deg), math.radians(sensor.lon_deg), math.nan if height is None else height, math.nan)
+
+
+class AisPositions(NamedTuple):
+    """Position reports to be sent, columns (n,): where a ship's GNSS antenna was, and its motion.
+
+    `sent_s` is when the report goes out, `second` the UTC second that its position is of; a heading that is not available is NaN.
+    Class A reports become messages of type 1, those of `class_b` of type 18.
+    """
+
+    sent_s: FloatArray
+    mmsi: IntArray
+    class_b: BoolArray
+    latitude_rad: FloatArray
+    longitude_rad: FloatArray
+    speed_mps: FloatArray
+    course_rad: FloatArray
+    heading_rad: FloatArray
+    second: IntArray
+    accurate: BoolArray
+
+
+class AisStatics(NamedTuple):
+    """Static data to be sent, columns (n,): call sign (packed), AIS ship type, and how far the antenna is from each side, metres.
+
+    Class A becomes type 5, class B type 24 in its two parts.
+    """
+
+    sent_s: FloatArray
+    mmsi: IntArray
+    class_b: BoolArray
+    callsign: IntArray
+    ship_type: IntArray
+    bow_m: FloatArray
+    stern_m: FloatArray
+    port_m: FloatArray
+    starboard_m: FloatArray
+
+
+def write_ais(path: str | Path, positions: AisPositions, statics: AisStatics) -> int:
+    """Write AIS messages as a shore station logs them: AIVDM sentences in the order of time, each with a tag block of its time.
+
+    The tag block tells the whole second in which a message came.  As AIS has it, positions are told to 1/10,000 minute, speeds
+    to 0.1 kn, courses to 0.1 and headings to 1 degree.  Written as a whole or not at all; returns the number of sentences.
+    Raises InputError for the file.
+    """
+    from pyais import encode_msg
+    from pyais.messages import MessageType1, MessageType5, MessageType18, MessageType24PartA, MessageType24PartB
+
+    position = _position_fields(positions)
+    names = unpack_callsigns(statics.callsign)
+    both = np.concatenate([positions.sent_s, statics.sent_s])
+    lines: list[str] = []
+    for k in np.argsort(both, kind="stable").tolist():
+        messages: list[Any]
+        if k < len(positions.sent_s):
+            kind = MessageType18 if positions.class_b[k] else MessageType1
+            messages = [kind.create(**{name: column[k] for name, column in position.items()})]
+        else:
+            j = k - len(positions.sent_s)
+            fields = {"mmsi": int(statics.mmsi[j]), "callsign": names[j], "ship_type": int(statics.ship_type[j])}
+            for side in ("bow", "stern", "port", "starboard"):
+                fields[f"to_{side}"] = round(float(getattr(statics, f"{side}_m")[j]))
+            if statics.class_b[j]:
+                first = MessageType24PartA.create(mmsi=fields["mmsi"], partno=0, shipname=f"{names[j]}")
+                messages = [first, MessageType24PartB.create(partno=1, **fields)]
+            else:
+                messages = [MessageType5.create(shipname=names[j], epfd=1, **fields)]
+        tag = f"s:shore,c:{math.floor(both[k])}"
+        channel = "AB"[len(lines) % 2]
+        for message in messages:
+            for sentence in encode_msg(message, sentence_type="VDM", radio_channel=channel, seq_id=len(lines) % 10):
+                lines.append(f"\\{tag}*{checksum(tag)}\\{sentence}\r\n")
+    with atomic(path) as beside, open(beside, "w", encoding="ascii", newline="") as file:
+        file.writelines(lines)
+    return len(lines)
+
+
+def _position_fields(p: AisPositions) -> dict[str, list[Any]]:
+    """The fields of position reports in AIS's own units and steps, one list of numbers a field."""
+
+    def steps(values: FloatArray, step: float, absent: float) -> list[Any]:
+        return list(np.where(np.isfinite(values), np.rint(values / step) * step, absent).round(9).tolist())
+
+    course = np.rint(np.degrees(p.course_rad) * 10) % 3600 / 10
+    heading = np.rint(np.degrees(p.heading_rad)) % 360
+    return {
+        "mmsi": p.mmsi.tolist(),
+        "accuracy": p.accurate.tolist(),
+        "lat": steps(np.degrees(p.latitude_rad), 1 / 600000, 91.0),
+        "lon": steps((np.degrees(p.longitude_rad) + 180.0) % 360.0 - 180.0, 1 / 600000, 181.0),
+        "speed": steps(np.minimum(p.speed_mps / KNOT_MPS, 102.2), 0.1, 102.3),
+        "course": np.where(np.isfinite(course), course, 360.0).tolist(),
+        "heading": np.where(np.isfinite(heading), heading, 511).astype(np.int64).tolist(),
+        "second": p.second.tolist(),
+    }
