@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import datetime
+import resource
 import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -177,6 +179,35 @@ def test_nothing_is_left_of_what_failed(tmp_path: Path) -> None:
         write_parts(tmp_path / "no" / "out.csv", broken(), name="x")
     with pytest.raises(SettingsError, match="part by part"):
         write_parts(tmp_path / "out.kml", broken(), name="x")
+
+
+@contextmanager
+def full_disk(octets: int) -> Iterator[None]:
+    """No file may grow beyond so many bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (octets, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("ending", [".parquet", ".csv"])
+@pytest.mark.parametrize("rows_a_piece", [2048, 1 << 20])
+def test_full_disk_is_one_plain_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str, rows_a_piece: int) -> None:
+    """In the first piece, when the pieces are joined, and where the whole is written at once."""
+    monkeypatch.setattr(writing_tables, "PIECE", rows_a_piece)
+    (tmp_path / "in.ast").write_bytes(encode_asterix(plots_of(12_000))[0])
+    (tmp_path / f"out{ending}").write_text("mine")
+    for octets in (5_000, 100_000):
+        with full_disk(octets), pytest.raises(InputError) as told:
+            convert(tmp_path / "in.ast", tmp_path / f"out{ending}", date=DATE.isoformat(), overwrite=True)
+        assert str(told.value) == (
+            f"{tmp_path / f'out{ending}'}: cannot be written (File too large). "
+            "Nothing was changed; free some space or write elsewhere."
+        )
+        assert (tmp_path / f"out{ending}").read_text() == "mine"
+        assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_refusals_come_first(tmp_path: Path) -> None:

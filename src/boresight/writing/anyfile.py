@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -181,7 +182,7 @@ def write_parts(
     if kind != "all":
         check(path)
     try:
-        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder, ExitStack() as at_end:
             pieces: dict[str, Pieces] = {}
             for part in parts:
                 for one in KINDS:
@@ -190,6 +191,7 @@ def write_parts(
                         continue
                     if one not in pieces:
                         pieces[one] = Pieces(Path(folder), one, ending == ".csv")
+                        at_end.callback(pieces[one].close)
                         if kind is None:
                             _planned(path, name, [k for k in KINDS if k in pieces], kind)
                     if kind in (None, "all", one):

@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -47,7 +48,8 @@ PIECE = 2 * 122_880
 class Pieces:
     """A long table that comes part by part: `append` them, then `publish` the file, which is the one `write_table` makes.
 
-    What has come waits in `folder`, which is the caller's to remove, in files whose names begin with `name`.
+    What has come waits in `folder`, which is the caller's to remove after `close`, in files whose names begin with `name`.  A
+    piece is written while the parts of the next one come; no more than these two are in memory.
     """
 
     folder: Path
@@ -57,6 +59,8 @@ class Pieces:
     count: int = 0
     held: list[Any] = field(default_factory=list)
     waiting: int = 0
+    writer: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1))
+    written: Future[None] | None = None
 
     def append(self, table: Any) -> None:
         """The next rows: a table of the same class as those before."""
@@ -80,39 +84,56 @@ class Pieces:
             return
         if rest is not None:
             self._write(rest)
+        self._wait()
         with atomic(path) as beside:
             if self.csv:
                 os.replace(self.folder / f"{self.name}.csv", beside)
                 return
             pieces = ", ".join(_text(self.folder / f"{self.name}-{k}.parquet") for k in range(self.count))
-            with _connected() as connection:
+            # Two threads, whatever the machine: memory is theirs, and pieces stay in their order.
+            with _connected(threads=2) as connection:
                 _run(connection, f"COPY (SELECT * FROM read_parquet([{pieces}])) TO {_text(beside)} ({_PARQUET})")
 
+    def close(self) -> None:
+        """Wait for what is being written: after this nothing more comes into the folder."""
+        self.writer.shutdown(cancel_futures=True)
+
     def _write(self, table: Any) -> None:
+        self._wait()
+        self.written = self.writer.submit(self._write_piece, table, self.count)
+        self.count += 1
+
+    def _wait(self) -> None:
+        """Raise what the piece that was being written met with."""
+        if self.written is not None:
+            self.written.result()
+            self.written = None
+
+    def _write_piece(self, table: Any, number: int) -> None:
         with _connected() as connection:
             if not self.csv:
                 # Read once and thrown away: quickly rather than well compressed.
-                _copy(connection, table, self.folder / f"{self.name}-{self.count}.parquet", compression="snappy")
-            else:
-                piece = self.folder / f"{self.name}-piece.csv"
-                _copy(connection, table, piece, csv=True, header=self.count == 0)
-                with open(piece, "rb") as file, open(self.folder / f"{self.name}.csv", "ab") as out:
-                    shutil.copyfileobj(file, out, 1 << 20)
-        self.count += 1
+                _copy(connection, table, self.folder / f"{self.name}-{number}.parquet", compression="snappy")
+                return
+            piece = self.folder / f"{self.name}-piece.csv"
+            _copy(connection, table, piece, csv=True, header=number == 0)
+            with open(piece, "rb") as file, open(self.folder / f"{self.name}.csv", "ab") as out:
+                shutil.copyfileobj(file, out, 1 << 20)
 
 
 _PARQUET = "FORMAT parquet, COMPRESSION zstd"
 
 
-def _connected() -> Any:
-    """A database of its own.  One thread: the same table must give the same bytes.  No extension is ever fetched."""
+def _connected(threads: int = 1) -> Any:
+    """A database of its own.  No extension is ever fetched."""
     import duckdb
 
     settings: dict[str, str | bool | int | float | list[str]] = {
-        "threads": 1,
+        "threads": threads,
         "memory_limit": "1GB",
-        # What was read of a piece is not kept in memory.
+        # What was read of a piece is not kept in memory, and nothing is ever put into the user's folder on the way.
         "enable_external_file_cache": False,
+        "temp_directory": "",
         "autoload_known_extensions": False,
         "autoinstall_known_extensions": False,
     }
@@ -138,12 +159,18 @@ def _copy(connection: Any, table: Any, to: Path, *, csv: bool = False, header: b
 
 
 def _run(connection: Any, command: str) -> None:
+    """Raises OSError for what the system refused, with its number and in its own words."""
     import duckdb
 
     try:
         connection.execute(command)
     except duckdb.IOException as error:
-        raise OSError(str(error).splitlines()[0]) from error
+        text = str(error).splitlines()[0]
+        # With several layers at work the message is their JSON, which ends in the number of the system's error.
+        number = re.search(r'"errno":"(\d+)"', text)
+        if number:
+            raise OSError(int(number[1]), os.strerror(int(number[1]))) from error
+        raise OSError(text) from error
 
 
 def _text(path: Path) -> str:
