@@ -128,8 +128,9 @@ def test_every_term_is_whole() -> None:
         assert term.si_per_unit > 0
         assert term.prior_sd > 0
         assert term.meaning
-        assert term.needs <= {"elevation", "rate", "heading", "length"}
-    assert {t for model in MODELS.values() for t in model} <= set(TERMS)
+        assert term.needs <= {"elevation", "rate", "second", "third", "heading", "length"}
+    for model in MODELS:
+        assert [t.name for t in terms_of(model)] == list(MODELS[model])
 
 
 def test_models_and_lists() -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from ._jit import kernel
 from ._parallel import in_threads, slices
-from ._types import BoolArray, FloatArray, IntArray
+from ._types import AnyArray, BoolArray, FloatArray, IntArray
 from .errors import InputError, NothingToDo, SettingsError
 from .geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate_back
 from .measure import position_from_plane
@@ -453,8 +453,8 @@ class Trajectories:
     One lane is one target as one source saw it; the rows (k,) are sorted by lane and time.  `row` is each row's fix, `segment`
     changes at every gap.  Positions, velocities and accelerations (k, 3) are ECEF, `up` the local vertical.  `slow_m2` and
     `white_m2` (k, 2), horizontal and vertical, are the variances of a fix's error that neighbouring fixes share and do not
-    share.  By lane: `lane_start` (lanes + 1,), `update_s`, `max_gap_s`; by target: `first_lane` (targets + 1,), `length_m`.
-    `target` (n,) is `targets_of` the fixes.  The counts say what was not used, `warnings` say it in words.
+    share.  By lane: `lane_start` (lanes + 1,), `update_s`, `max_gap_s`, `source`; by target: `first_lane` (targets + 1,),
+    `length_m`.  `target` (n,) is `targets_of` the fixes.  The counts say what was not used, `warnings` say it in words.
     """
 
     method: str
@@ -474,6 +474,7 @@ class Trajectories:
     lane_start: IntArray
     update_s: FloatArray
     max_gap_s: FloatArray
+    source: AnyArray
     first_lane: IntArray
     length_m: FloatArray
     unusable: int
@@ -492,7 +493,7 @@ class States(NamedTuple):
     """Where targets are at given times: ECEF position, velocity, acceleration (m, 3), covariance (m, 3, 3) of the position.
 
     `heading_rad` (m,) is where the target points (carried, else its course above 3 m/s, else NaN), `length_m` (m,) how long it
-    is. What is not `valid` (no reference near that time) is NaN.
+    is, `source` (m,) the id of the reference that answers. What is not `valid` (no reference near that time) is NaN, and -1.
     """
 
     position: FloatArray
@@ -502,6 +503,7 @@ class States(NamedTuple):
     heading_rad: FloatArray
     length_m: FloatArray
     valid: BoolArray
+    source: AnyArray
 
 
 def trajectories(fixes: Fixes, *, method: str = "smooth", max_gap_s: float | None = None) -> Trajectories:
@@ -603,6 +605,7 @@ def trajectories(fixes: Fixes, *, method: str = "smooth", max_gap_s: float | Non
         lane_start=lane_start,
         update_s=update,
         max_gap_s=gap,
+        source=lane_key.astype(np.int32),
         first_lane=first_lane,
         length_m=_lengths(fixes, target, len(first_lane) - 1),
         unusable=unusable,
@@ -1046,21 +1049,24 @@ def states(trajectories: Trajectories, target: IntArray, time_s: FloatArray) -> 
     if not len(t.time_s):
         m = len(time)
         nothing, vector = np.full(m, np.nan), np.full((m, 3), np.nan)
-        return States(vector, vector, vector, np.full((m, 3, 3), np.nan), nothing, nothing, np.zeros(m, bool))
+        return States(
+            vector, vector, vector, np.full((m, 3, 3), np.nan), nothing, nothing, np.zeros(m, bool), np.full(m, -1, np.int32)
+        )
 
-    def piece(part: slice) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]:
+    def piece(part: slice) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, BoolArray, IntArray]:
         return _states(
             target[part], time[part], METHODS.index(t.method), t.time_s, t.position, t.velocity, t.acceleration, t.velocity_var,
             t.up, t.slow_m2, t.white_m2, t.time_sd_s, t.heading_rad, t.segment, t.lane_start, t.update_s, t.first_lane,
         )  # fmt: skip
 
     parts = in_threads(piece, slices(len(time), _PIECE)) if len(time) else [piece(slice(0))]
-    position, velocity, acceleration, covariance, heading, valid = (
+    position, velocity, acceleration, covariance, heading, valid, lane = (
         parts[0] if len(parts) == 1 else (np.concatenate(column) for column in zip(*parts, strict=True))
     )
     known = (target >= 0) & (target < t.targets)
     length = np.where(known & valid, t.length_m[np.where(known, target, 0)], np.nan)
-    return States(position, velocity, acceleration, covariance, heading, length, valid)
+    source = np.where(valid, t.source[np.maximum(lane, 0)], np.int32(-1))
+    return States(position, velocity, acceleration, covariance, heading, length, valid, source)
 
 
 @kernel
@@ -1082,11 +1088,12 @@ def _states(
     lane_start: IntArray,
     update: FloatArray,
     first_lane: IntArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, BoolArray, IntArray]:
     """Interpolate (see `states`).  `method` is the index in `METHODS`."""
     m = len(time)
     p_out, v_out, a_out = np.full((m, 3), np.nan), np.full((m, 3), np.nan), np.full((m, 3), np.nan)
     c_out, heading, valid = np.full((m, 3, 3), np.nan), np.full(m, np.nan), np.zeros(m, np.bool_)
+    answers = np.full(m, -1, np.int64)
     p, v, a = np.empty(3), np.empty(3), np.empty(3)
     for q in range(m):
         if target[q] < 0 or target[q] >= len(first_lane) - 1 or not np.isfinite(time[q]):
@@ -1164,6 +1171,7 @@ def _states(
                 continue
             best = total
             valid[q] = True
+            answers[q] = lane
             for d in range(3):
                 p_out[q, d], v_out[q, d], a_out[q, d] = p[d], v[d], a[d]
                 for e in range(d + 1):
@@ -1183,4 +1191,4 @@ def _states(
                 east = (-up[near, 1] * v[0] + up[near, 0] * v[1]) / side
                 north = side * v[2] - up[near, 2] * (up[near, 0] * v[0] + up[near, 1] * v[1]) / side
                 heading[q] = np.arctan2(east, north) % (2 * np.pi) if np.hypot(east, north) > _COURSE_MPS else np.nan
-    return p_out, v_out, a_out, c_out, heading, valid
+    return p_out, v_out, a_out, c_out, heading, valid, answers

@@ -53,6 +53,8 @@ class Flag(IntFlag):
     TIME_OF_RECEPTION = 2048
     ACQUIRING = 4096
     MAGNETIC_NORTH = 8192
+    CHAIN_1 = 16384
+    CHAIN_2 = 32768
 
 
 EXCLUDED = (
@@ -337,7 +339,8 @@ class Pairs(_Table):
     `plots` are the paired plots themselves, `plot` their row in the table that was associated.  `target` is the row number of the
     reference's target, `track` that of the radar's track (both only names: equal means the same).  Positions are ECEF metres
     (n, 3), velocities and accelerations likewise; `covariance` (n, 3, 3) is the reference's position, with what interpolation
-    adds.  `heading_rad` is where the target points (carried, else its course above 3 m/s, else NaN).
+    adds.  `heading_rad` is where the target points (carried, else its course above 3 m/s, else NaN), `source` the id of the
+    reference that answered.
     """
 
     plot: IntArray = _column(np.int64)
@@ -351,6 +354,7 @@ class Pairs(_Table):
     heading_rad: FloatArray = _float()
     length_m: FloatArray = _float()
     weight: FloatArray = _column(np.float64, 1.0)
+    source: AnyArray = _column(np.int32)
 
 
 class Damage(msgspec.Struct, frozen=True):
@@ -461,10 +465,23 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return None if self.height_msl_m is None else self.height_msl_m + (self.geoid_m or 0.0)
 
 
+class Atmosphere(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What an operator knows of the air, ``[atmosphere]`` in `sensors.toml`: for pressure altitudes where no traffic tells more.
+
+    `qnh_hpa` is the pressure reduced to mean sea level, `isa_deviation_k` how much warmer the air is than the standard
+    atmosphere, `geoid_m` how high mean sea level lies above the ellipsoid.  What is not known is left out.
+    """
+
+    qnh_hpa: float | None = None
+    isa_deviation_k: float | None = None
+    geoid_m: float | None = None
+
+
 class Sensors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The sensors of `sensors.toml`, in its order."""
+    """The sensors of `sensors.toml`, in its order, and what it tells of the atmosphere."""
 
     sensor: tuple[Sensor, ...]
+    atmosphere: Atmosphere | None = None
 
     def __iter__(self) -> Iterator[Sensor]:
         return iter(self.sensor)
@@ -500,6 +517,12 @@ def load_sensors(path: str | Path) -> Sensors:
 
 def check_sensors(sensors: Sensors, where: str = "sensors") -> None:
     """Raise SettingsError for impossible positions, unknown kinds, and names or ids that occur twice."""
+    air = sensors.atmosphere
+    if air is not None:
+        for name, low, high in (("qnh_hpa", 850.0, 1100.0), ("isa_deviation_k", -60.0, 60.0), ("geoid_m", -120.0, 120.0)):
+            value = getattr(air, name)
+            if value is not None and not low <= value <= high:
+                raise SettingsError(f"{name} = {value} is not within {low:g} … {high:g}", where=f"{where}: atmosphere")
     names: set[str] = set()
     keys: set[int] = set()
     for number, s in enumerate(sensors):

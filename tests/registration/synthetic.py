@@ -175,7 +175,7 @@ def scene(
             keep = (place.range_m < far_m) & (place.range_m > near_m)
             if keep.sum() < 5:
                 continue
-            t, place = t[keep], Geometry(*(c[keep] for c in place))
+            t, place = t[keep], Geometry(*(c[keep] for c in place if c is not None))
             n = len(t)
             measured = np.stack([place.range_m + delay, place.azimuth_rad, place.elevation_rad], axis=1)
             late = 0.0

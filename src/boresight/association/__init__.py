@@ -464,6 +464,7 @@ def _pairs(plots: Plots, rows: IntArray, target: IntArray, track: IntArray, refe
     return Pairs(
         plot=rows, plots=mine, target=target[rows], track=track[rows], position=s.position, velocity=s.velocity,
         acceleration=s.acceleration, covariance=s.covariance, heading_rad=s.heading_rad, length_m=length,
+        source=s.source,
     )  # fmt: skip
 
 

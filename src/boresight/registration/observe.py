@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .._parallel import in_threads, slices
-from .._types import BoolArray, FloatArray, IntArray
+from .._types import AnyArray, BoolArray, FloatArray, IntArray
 from ..geodesy import height_and_up, rotate
 from ..measure import (
     from_true_north,
@@ -20,13 +20,13 @@ from ..measure import (
     wrap_rad,
 )  # fmt: skip
 from ..model import Pairs, Sensor
-from ..terms import TIME_TERMS, Geometry, Term, late_s, order_of
+from ..terms import Geometry, Term, Whose, late_s, order_of
 
 # Rows that are worked on at a time: large enough for NumPy, small enough for the memory.
 CHUNK = 1 << 15
 _BY_ROW = (
     "row", "enu", "velocity", "acceleration", "measured", "reference_variance", "heading_rad", "length_m", "time_s", "weight",
-    "cluster",
+    "cluster", "channel", "flags", "source",
 )  # fmt: skip
 
 
@@ -37,7 +37,8 @@ class Observed:
     `row` (n,) is the row in the pairs; `enu`, `velocity`, `acceleration` (n, 3) the reference about the antenna at the stamp,
     local axes; `measured` (n, 3) range, azimuth from true north, elevation (NaN where not measured); `reference_variance` (n,
     3) the reference's variance in these; `heading_rad` is from the antenna's north; `cluster` (n,)
-    numbers the targets from 0; `time_s` counts from `epoch_s`.
+    numbers the targets from 0; `time_s` counts from `epoch_s`.  `channel` and `flags` are the plots', `source` is the
+    reference's id.
     """
 
     sensor: Sensor
@@ -56,6 +57,9 @@ class Observed:
     weight: FloatArray
     cluster: IntArray
     cluster_key: IntArray
+    channel: AnyArray
+    flags: AnyArray
+    source: AnyArray
 
     def __len__(self) -> int:
         return len(self.row)
@@ -167,6 +171,9 @@ def observe(pairs: Pairs, rows: IntArray, sensor: Sensor, epoch_s: float) -> Obs
         weight=pairs.weight[rows],
         cluster=cluster,
         cluster_key=keys,
+        channel=plots.channel[rows],
+        flags=plots.flags[rows],
+        source=pairs.source[rows],
     )
 
 
@@ -177,9 +184,14 @@ def take(seen: Observed, rows: IntArray) -> Observed:
 
 def late(seen: Observed, rows: slice | IntArray, terms: Sequence[Term], value: FloatArray) -> FloatArray | None:
     """Stamp minus true time, (n, 1) s, at the error values (p,); None where it is nothing."""
-    if not any(t.name in TIME_TERMS and v != 0 for t, v in zip(terms, value, strict=True)):
+    if not any(t.is_time and v != 0 for t, v in zip(terms, value, strict=True)):
         return None
-    return late_s(terms, value, seen.time_s[rows])[:, None]
+    return late_s(terms, value, seen.time_s[rows], whose(seen, rows))[:, None]
+
+
+def whose(seen: Observed, rows: slice | IntArray) -> Whose:
+    """Channel, flags and reference of the rows."""
+    return Whose(seen.channel[rows], seen.flags[rows], seen.source[rows])
 
 
 def geometry(seen: Observed, rows: slice | IntArray, before: FloatArray | None, order: int = 1) -> Geometry:
@@ -191,8 +203,9 @@ def geometry(seen: Observed, rows: slice | IntArray, before: FloatArray | None, 
         velocity = velocity - before * acceleration
     polar, rate, second, third = polar_motion(enu, velocity, acceleration, order=order)
     return Geometry(
-        polar[:, 0], polar[:, 1], polar[:, 2], rate, second, third, seen.heading_rad[rows], seen.length_m[rows], seen.time_s[rows]
-    )
+        polar[:, 0], polar[:, 1], polar[:, 2], rate, second, third, seen.heading_rad[rows], seen.length_m[rows],
+        seen.time_s[rows], whose(seen, rows),
+    )  # fmt: skip
 
 
 def look(
@@ -207,7 +220,7 @@ def look(
     columns = {term.name: term.columns(place) for term in [*terms, *also]}
     residual = seen.measured[rows] - np.stack([place.range_m, place.azimuth_rad, place.elevation_rad], axis=1)
     for term, v in zip(terms, value, strict=True):
-        if term.name not in TIME_TERMS and v != 0:
+        if not term.is_time and v != 0:
             residual -= columns[term.name] * v
     residual[:, 1] = wrap_rad(residual[:, 1])
     return place, residual, columns
@@ -228,7 +241,7 @@ def distances(seen: Observed, rows: slice | IntArray, terms: Sequence[Term], val
     """
     before = late(seen, rows, terms, value)
     # What a late stamp does is in the motion: its own column is not needed.
-    others = [(t, v) for t, v in zip(terms, value, strict=True) if t.name not in TIME_TERMS and v != 0]
+    others = [(t, v) for t, v in zip(terms, value, strict=True) if not t.is_time and v != 0]
     place = geometry(seen, rows, before, order_of([t for t, _ in others]))
     residual = seen.measured[rows] - np.stack([place.range_m, place.azimuth_rad, place.elevation_rad], axis=1)
     for term, v in others:
