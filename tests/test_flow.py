@@ -165,7 +165,7 @@ def test_results_appear_together_or_not_at_all(scene, tmp_path: Path, monkeypatc
     sensors = load_sensors(files.sensors)
     out = tmp_path / "new" / "out"
     run = flow.calibrate(files.plots[:1], files.reference, sensors, date=files.date, out=out)
-    names = ["calibration.json", "report.html", "residuals.parquet"]
+    names = ["calibration.json", "report.html", "residuals.parquet", "run.json"]
     first = {name: (out / name).read_bytes() for name in names}
 
     def stops(problem: BaseException) -> Callable[..., None]:

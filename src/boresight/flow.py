@@ -21,13 +21,15 @@ from .model import Fixes, Platform, Plots, Recording, Sensors, Source, load_sens
 
 if TYPE_CHECKING:
     from ._types import IntArray
-    from .assessment.requirement import Conformity
+    from .assessment.requirement import Conformity, Requirement
     from .assessment.residuals import Residuals
     from .association import Association
     from .calibration import Calibration, Input
+    from .frozen import Frozen
 
 Progress = Callable[[str], None]
-_RESULTS = ("calibration.json", "residuals.parquet", "report.html")
+# conformity.json is there where a requirement was given.
+_RESULTS = ("calibration.json", "residuals.parquet", "report.html", "run.json", "conformity.json")
 
 
 def _silent(_: str) -> None:
@@ -51,6 +53,7 @@ class Run:
 
     `targets` names the targets of the pairs (number -> Mode S address, MMSI, callsign or track number), `reference` the files
     that were the reference; `truth` is filled where the scene was simulated, `conformity` where a requirement was given.
+    `frozen` is what the run was made from, for run.json.
     """
 
     calibration: Calibration
@@ -60,6 +63,7 @@ class Run:
     reference: tuple[str, ...] = ()
     truth: Mapping[str, tuple[TruthRow, ...]] = field(default_factory=dict)
     conformity: tuple[Conformity, ...] = ()
+    frozen: Frozen | None = None
 
 
 def calibrate(
@@ -73,20 +77,23 @@ def calibrate(
     out: str | Path | None = None,
     truth: Mapping[str, Mapping[str, float]] | None = None,
     title: str = "",
+    requirement: Requirement | None = None,
     progress: Progress = _silent,
 ) -> Run:
     """Find the systematic errors of the radars in `plots` against the positions in `reference`.
 
-    With `out` (a folder), writes calibration.json, residuals.parquet and report.html there, each whole or not at all; files of
-    those names that were there are moved to ``earlier-1``, ``earlier-2`` …  `truth` holds the true values of a simulated scene:
-    sensor name -> term -> value in the term's unit.
+    With `out` (a folder), writes calibration.json, residuals.parquet, report.html and run.json there, each whole or not at all;
+    files of those names that were there are moved to ``earlier-1``, ``earlier-2`` …  With `requirement`, judges the radars by it
+    and writes conformity.json too.  `truth` holds the true values of a simulated scene: sensor name -> term -> value in its unit.
 
     Raises InputError for files that cannot be used, SettingsError for sensors or terms that make no sense, NothingToDo where the
     recordings do not overlap or nothing in them can be paired.
     """
     from .alignment import apply_time_offsets, locate, overlap
+    from .assessment.requirement import assess_requirement, check_requirement
     from .assessment.residuals import residuals
     from .association import search
+    from .frozen import Settings, freeze
     from .measure import site_warnings
     from .platform import fix_platforms
     from .reading.site import site_disagreements
@@ -98,8 +105,19 @@ def calibrate(
     # What is wrong with the options is told before minutes are spent on the recordings.
     if model != "auto":
         terms_of(model)
+    if requirement is not None:
+        check_requirement(requirement)
     if out is not None:
         _check_folder(Path(out))
+    settings = Settings(
+        sensors=sensors,
+        model=model if isinstance(model, str) else tuple(model),
+        date=date,
+        editions=dict(editions or {}),
+        truth={name: dict(terms) for name, terms in (truth or {}).items()},
+        title=title,
+        requirement=requirement,
+    )
     warnings: list[str] = []
     plots, reference = _once(plots, warnings), _once(reference, warnings)
     radar = _read_all(plots, editions, date, warnings, progress)
@@ -133,6 +151,10 @@ def calibrate(
         version=__version__,
     )
     left = residuals(association.pairs, sensors, found)
+    conformity = () if requirement is None else assess_requirement(found, left, sensors, requirement)
+    if requirement is not None and not conformity:
+        said = (f"{requirement.title} has no figure for the kinds of these sensors",)
+        found = replace(found, warnings=(*found.warnings, *said))
     run = Run(
         found,
         association,
@@ -140,6 +162,8 @@ def calibrate(
         targets=_target_names(fixes, association.pairs.target),
         reference=tuple(str(file) for path in reference for file in _files_of(path)),
         truth=_truth_rows(found, truth or {}),
+        conformity=conformity,
+        frozen=freeze(plots, reference, settings, found.inputs),
     )
     if out is not None:
         progress("writing the report")
@@ -148,13 +172,12 @@ def calibrate(
 
 
 def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> None:
-    """Write calibration.json, residuals.parquet and report.html into the folder `out`, keeping what was there.
+    """Write calibration.json, residuals.parquet, report.html and run.json into the folder `out`, keeping what was there.
 
-    The three appear together or not at all: on a full disk or Ctrl-C an earlier result stays as it was.  Raises InputError.
+    They appear together or not at all: on a full disk or Ctrl-C an earlier result stays as it was.  Raises InputError.
     """
-    from .calibration import save_calibration
+    from .frozen import save_frozen
     from .report import write_report
-    from .writing.tables import write_table
 
     made = _missing_folders(out)
     try:
@@ -164,8 +187,7 @@ def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> 
     try:
         with tempfile.TemporaryDirectory(prefix=".boresight-", dir=out) as part:
             beside = Path(part)
-            save_calibration(run.calibration, beside / "calibration.json")
-            write_table(beside / "residuals.parquet", run.residuals)
+            _write_data(run, beside)
             write_report(
                 beside / "report.html",
                 run.calibration,
@@ -177,9 +199,12 @@ def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> 
                 targets=run.targets,
                 reference=run.reference,
             )
+            if run.frozen is not None:
+                save_frozen(run.frozen, beside, out)
             _keep_earlier(out, _RESULTS)
             for name in _RESULTS:
-                (beside / name).rename(out / name)
+                if (beside / name).exists():
+                    (beside / name).rename(out / name)
     except (InputError, OSError) as error:
         _remove_empty(made)
         why = f"{error}".removeprefix(f"{beside}/") if isinstance(error, InputError) else error.strerror or f"{error}"
@@ -187,6 +212,73 @@ def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> 
     except BaseException:
         _remove_empty(made)
         raise
+
+
+def _write_data(run: Run, folder: Path) -> None:
+    """Write what programs read of a run: calibration.json, residuals.parquet, and conformity.json where there is a verdict."""
+    from .assessment.requirement import save_conformity
+    from .calibration import save_calibration
+    from .writing.tables import write_table
+
+    save_calibration(run.calibration, folder / "calibration.json")
+    write_table(folder / "residuals.parquet", run.residuals)
+    if run.conformity:
+        save_conformity(run.conformity, folder / "conformity.json")
+
+
+@dataclass(frozen=True, slots=True)
+class Verified:
+    """A result that was made again.
+
+    `same` within the tolerance, `exact` to the last bit; `differences` and the `changed` files (those that are not as they were
+    written) in words; `versions` are those that differ: name -> then and now.
+    """
+
+    same: bool
+    exact: bool
+    differences: tuple[str, ...]
+    changed: tuple[str, ...]
+    versions: Mapping[str, tuple[str, str]]
+
+
+def verify(folder: str | Path, *, inputs: str | Path | None = None, progress: Progress = _silent) -> Verified:
+    """Make the result in `folder` again from its frozen inputs and settings, in a temporary place, and compare.
+
+    `inputs` is a folder to look for the recordings in, where they are no longer where they were.  Raises InputError where the
+    folder holds no whole result, and for recordings that are missing or not those that the result was made from, each named.
+    """
+    from .frozen import compare, find_inputs, hand_made, load_frozen, load_result, versions
+
+    folder = Path(folder)
+    frozen = load_frozen(folder)
+    changed, then = hand_made(frozen, folder), load_result(folder)
+    progress("looking for the recordings")
+    plots, reference = find_inputs(frozen, folder, None if inputs is None else Path(inputs))
+    settings = frozen.settings
+    run = calibrate(
+        plots,
+        reference,
+        settings.sensors,
+        model=settings.model,
+        date=settings.date,
+        editions=settings.editions,
+        truth=settings.truth,
+        title=settings.title,
+        requirement=settings.requirement,
+        progress=progress,
+    )
+    progress("comparing")
+    with tempfile.TemporaryDirectory(prefix="boresight-") as part:
+        _write_data(run, Path(part))
+        compared = compare(then, load_result(Path(part)))
+    now = versions()
+    return Verified(
+        same=compared.same and not changed,
+        exact=compared.exact and not changed,
+        differences=compared.differences,
+        changed=tuple(changed),
+        versions={name: (old, now.get(name, "")) for name, old in frozen.versions.items() if old != now.get(name, "")},
+    )
 
 
 def correct_files(

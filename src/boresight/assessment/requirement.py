@@ -18,6 +18,7 @@ from typing import Literal, NamedTuple
 import msgspec
 import numpy as np
 
+from .._files import write_bytes
 from .._types import BoolArray, FloatArray, IntArray
 from ..calibration import Calibration, Summary
 from ..errors import SettingsError
@@ -445,6 +446,19 @@ def quantile_interval(values: FloatArray, target: IntArray, level: float, confid
     half = found[0]
     low = float(np.quantile(values, max(level - half, 0.0)))
     return low, float(np.quantile(values, level + half)) if level + half < 1 else math.inf
+
+
+def conformity_json(found: Sequence[Conformity]) -> list[dict[str, object]]:
+    """The verdicts as plain values: what is not known is None, an interval without an end is open there."""
+    return [
+        {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in msgspec.structs.asdict(c).items()}
+        for c in found
+    ]
+
+
+def save_conformity(found: Sequence[Conformity], path: str | Path) -> None:
+    """Write the verdicts as JSON, whole or not at all.  Raises InputError where the file cannot be written."""
+    write_bytes(path, msgspec.json.format(msgspec.json.encode({"conformity": conformity_json(found)}), indent=1) + b"\n")
 
 
 def conformity_text(found: Sequence[Conformity]) -> str:

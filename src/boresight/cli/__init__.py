@@ -13,11 +13,13 @@ import cyclopts
 
 from .. import __version__
 from ..errors import BoresightError
+from .assess import assess
 from .calibrate import calibrate
 from .convert import convert
 from .correct import correct
 from .demo import demo
 from .info import info
+from .verify import verify
 from .warm import warm
 
 app = cyclopts.App(
@@ -28,7 +30,7 @@ app = cyclopts.App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _command in (demo, info, calibrate, correct, convert, warm):
+for _command in (demo, info, calibrate, correct, convert, assess, verify, warm):
     app.command(_command)
 
 

@@ -21,6 +21,7 @@ def calibrate(
     model: Annotated[str, Parameter(name="--model")] = "auto",
     date: Date = None,
     edition: Editions | None = None,
+    requirement: str | None = None,
     json: Json = False,
 ) -> None:
     """Find the systematic errors of the radars in PLOTS against a trusted reference.
@@ -44,13 +45,17 @@ def calibrate(
         UTC date of the first record, as 2016-05-10.
     edition
         Edition of an ASTERIX category, as 021=0.23.
+    requirement
+        Requirement file (TOML), or the name of one that comes with Boresight, to judge the radars by.
     json
         Print the result as JSON.
     """
     from .. import flow
+    from ..assessment.requirement import conformity_json, conformity_text, load_requirement
     from ..calibration import summary_json
     from ..model import load_sensors
 
+    wanted = None if requirement is None else load_requirement(requirement)
     with steps(quiet=json) as step:
         run = flow.calibrate(
             plots,
@@ -60,12 +65,16 @@ def calibrate(
             date=date_of(date),
             editions=editions_of(edition),
             out=out,
+            requirement=wanted,
             progress=step,
         )
     if json:
-        print_json(summary_json(run.calibration))
+        verdicts = {} if wanted is None else {"conformity": conformity_json(run.conformity)}
+        print_json(summary_json(run.calibration) | verdicts)
         return
     print(run.calibration)
+    if run.conformity:
+        print(f"\n{conformity_text(run.conformity)}")
     for warning in run.calibration.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     if out is not None:

@@ -1,0 +1,78 @@
+"""``boresight assess``: judge a result."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from ..errors import NothingToDo, SettingsError
+from ._options import Json, print_json
+
+assess = App(name="assess", help="Judge a result: against a requirement.", help_format="plaintext")
+
+
+@assess.command
+def requirement(
+    result: Path,
+    /,
+    *,
+    requirement: Annotated[str, Parameter(name="--requirement")],
+    sensors: Annotated[Path | None, Parameter(name="--sensors")] = None,
+    out: Path | None = None,
+    json: Json = False,
+) -> None:
+    """Say of each figure of a requirement whether the radars of RESULT pass, fail, or cannot be decided upon.
+
+    A figure is decided where the whole confidence interval lies on one side of the limit.
+
+    Parameters
+    ----------
+    result
+        Folder that calibrate --out has written.
+    requirement
+        Requirement file (TOML), or the name of one that comes with Boresight.
+    sensors
+        sensors.toml, where the folder has no run.json that tells the kinds of the sensors.
+    out
+        Write the verdicts to this JSON file.
+    json
+        Print the verdicts as JSON.
+    """
+    from ..assessment.requirement import (
+        assess_requirement,
+        conformity_json,
+        conformity_text,
+        load_requirement,
+        save_conformity,
+    )
+    from ..assessment.residuals import load_residuals
+    from ..calibration import load_calibration
+    from ..errors import InputError
+    from ..frozen import load_frozen
+    from ..model import load_sensors
+
+    if out is not None and out.exists():
+        raise SettingsError(f"{out} exists", where="--out", remedy="Name another file.")
+    wanted = load_requirement(requirement)
+    if not result.is_dir():
+        raise InputError("is no folder" if result.exists() else "does not exist", path=result, remedy="Give a folder of results.")
+    found = load_calibration(result / "calibration.json")
+    pairs = load_residuals(result / "residuals.parquet") if (result / "residuals.parquet").exists() else None
+    known = load_sensors(sensors) if sensors is not None else None
+    if known is None and (result / "run.json").exists():
+        known = load_frozen(result).settings.sensors
+    verdicts = assess_requirement(found, pairs, known, wanted)
+    if not verdicts:
+        raise NothingToDo(f"{wanted.title} has no figure for the kinds of the sensors in {result}")
+    if out is not None:
+        save_conformity(verdicts, out)
+    if json:
+        print_json({"conformity": conformity_json(verdicts)})
+        return
+    print(conformity_text(verdicts))
+    if wanted.example:
+        print(f"\nwarning: {wanted.name} is marked as an example: {wanted.note or 'its figures are vouched for by nobody'}",
+              file=sys.stderr)  # fmt: skip
