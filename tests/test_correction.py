@@ -10,17 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from boresight.calibration import Accuracy, Calibration, Noise, Summary, TermKey
+from boresight.calibration import Accuracy, Calibration, Noise, Summary, TermKey, Verdict, advised, chosen
 from boresight.correction import correct, correct_and_say
-from boresight.errors import InputError
+from boresight.errors import InputError, SettingsError
 from boresight.measure import heading_about, position_from_polar, site_of, wrap_rad
-from boresight.model import Channel, Plots, Sensor, Sensors
-from boresight.terms import DEG, TERMS, Geometry
+from boresight.model import Channel, Flag, Plots, Sensor, Sensors
+from boresight.terms import DEG, TERMS, TIME_TERMS, Geometry
 
 SENSORS = Sensors(
     (Sensor(name="A", sac=1, sic=1, lat_deg=46.0, lon_deg=14.0, height_m=0.0, north="magnetic", north_offset_deg=3.0),)
 )
-STILL = [n for n in TERMS if n != "time_offset"]
+# Terms that plots alone can have taken out, by their place.
+STILL = [n for n in TERMS if not TERMS[n].needs & {"rate", "second", "third"}]
 
 
 def calibration(values: dict[str, float], sd: float = 0.1, sensor: int = 257, channel: str = "all") -> Calibration:
@@ -53,7 +54,7 @@ def truth(n: int = 200, seed: int = 0) -> Geometry:
 def measured(g: Geometry, values: dict[str, float], north_rad: float = 0.0, elevation: bool = True) -> Plots:
     polar = np.stack([g.range_m, g.azimuth_rad, g.elevation_rad], axis=1)
     for name, value in values.items():
-        if name != "time_offset":
+        if name not in TIME_TERMS:
             polar = polar + TERMS[name].columns(g) * value
     n = len(g.range_m)
     return Plots(
@@ -106,7 +107,7 @@ def test_without_elevation_the_height_places_the_target() -> None:
     values = {"tilt_north": 0.5 * DEG}
     g = truth()
     keep = (g.elevation_rad > 1 * DEG) & (g.elevation_rad < 30 * DEG) & (g.range_m < 2e5)
-    g = Geometry(*(c[keep] for c in g))
+    g = Geometry(*(c[keep] for c in g[:9]))
     # Height over a sphere, exactly.
     height = np.sqrt(6371e3**2 + g.range_m**2 + 2 * 6371e3 * g.range_m * np.sin(g.elevation_rad)) - 6371e3
     plots = measured(g, values, elevation=False).replace(height_m=height)
@@ -135,7 +136,11 @@ def test_heading_terms_apply_only_where_a_heading_is_known_and_say_so(caplog: py
     assert np.allclose(clean.range_m[20:22], plots.range_m[20:22] - 5.0)
     full, none = correct_and_say(measured(g, values), calibration(values))
     assert none == ()
-    assert np.allclose(clean.range_m[22:], full.range_m[22:])
+    assert distance_m(full, g).max() < 1e-3
+    # A track has one length: the median of what its plots measured.
+    mean = np.repeat(g.length_m[22:].reshape(-1, 2).mean(axis=1), 2)
+    other = measured(g, values)[22:].replace(length_m=mean)
+    assert np.allclose(clean.range_m[22:], correct(other, calibration(values)).range_m)
     with caplog.at_level(logging.WARNING):
         correct(plots, calibration(values))
     assert "12 of 30" in caplog.text
@@ -160,6 +165,14 @@ def test_channels_and_other_sensors() -> None:
     )
     clean, said = correct_and_say(plots, calibration(values, channel="PSR"))
     assert np.allclose(clean.range_m - plots.range_m, [-100, -100, 0, 0, 0, 0], atol=1e-6)
+    # A combined plot's position is the secondary radar's; a processing chain is a channel too.
+    plots = plots.replace(channel=np.array([1, 2, 3, 4, 0, 0]), flags=np.array([0, 0, int(Flag.CHAIN_2), 0, 0, 0]))
+    for channel, moved in (("psr", [0]), ("ssr", [1, 3]), ("mode_s", [2]), ("chain2", [2]), ("chain1", [])):
+        clean = correct(plots, calibration(values, channel=channel))
+        assert np.flatnonzero(clean.range_m != plots.range_m).tolist() == moved, channel
+    with pytest.raises(InputError, match=r"a channel 'chain7'.*psr"):
+        correct(plots, calibration(values, channel="chain7"))
+    clean, said = correct_and_say(plots, calibration(values, channel="PSR"))
     assert any("2 plots of SAC/SIC 0/9" in s for s in said)
     assert np.array_equal(clean.azimuth_rad[4:], plots.azimuth_rad[4:])
     with pytest.raises(InputError, match=r"0/9.*A \(1/1\)"):
@@ -207,3 +220,158 @@ def test_a_carried_heading_counts_from_the_north_where_the_target_is() -> None:
     # The correction's sphere and the displaced azimuth leave some centimetres of the 29 m.
     assert distance_m(correct(plots, calibration(values), sensors=entry), seen).max() < 1.0
     assert 20.0 < distance_m(correct(plots, calibration(values)), seen).max() < 35.0
+
+
+def test_offset_and_drift_of_the_clock_are_out_of_the_stamps() -> None:
+    """A drift counts from the calibration's epoch; over its epochs it is interpolated like any other term."""
+    n = 50
+    true = 1.7e9 + np.linspace(0, 7200, n)
+    stamp = true + 0.7 + 30e-3 / 3600 * (true - 1.7e9)
+    plots = Plots(time_s=stamp, sensor=np.full(n, 257), range_m=np.full(n, 5e4), azimuth_rad=np.zeros(n))
+    clean = correct(plots, calibration({"time_offset": 0.7, "clock_drift": 30e-3 / 3600}))
+    assert np.allclose(clean.time_s, true, rtol=0, atol=1e-5)
+    assert np.array_equal(clean.range_m, plots.range_m)
+    # A plot without a time is corrected in place.
+    unknown = plots.replace(time_s=np.full(n, np.nan))
+    assert np.allclose(correct(unknown, calibration({"range_bias": 10.0, "time_offset": 0.7})).range_m, 5e4 - 10)
+
+
+def test_a_clock_that_is_not_well_known_widens_the_sd_along_the_motion() -> None:
+    """Against draws: clocks as uncertain as the calibration says scatter the positions of the track by what the sd grow."""
+    n, rng = 21, np.random.default_rng(0)
+    t = np.arange(n) * 4.0
+
+    def place(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        east, north = 20e3 + 150.0 * t, 30e3 - 200.0 * t
+        return np.hypot(east, north), np.arctan2(east, north)
+
+    r, a = place(t)
+    plots = Plots(time_s=1.7e9 + t, sensor=np.full(n, 257), range_m=r, azimuth_rad=a, track=np.full(n, 7),
+                  range_sd_m=np.full(n, 1e-3), azimuth_sd_rad=np.full(n, 1e-9))  # fmt: skip
+    one = calibration({"time_offset": 0.5, "range_bias": 40.0})
+    # The two errors are known jointly: of traffic that flies away, a late clock looks like a shorter range.
+    sd_s, sd_m, correlation = 0.1, 20.0, 0.8
+    covariance = np.array([[sd_s**2, correlation * sd_s * sd_m], [correlation * sd_s * sd_m, sd_m**2]])
+    clean, said = correct_and_say(plots, Calibration(one.terms, one.epoch_s, one.value, covariance[None], sensors=one.sensors))
+    assert said == ()
+    late, far = rng.multivariate_normal(np.zeros(2), covariance, 20_000).T
+    # What is left when the clock is later by `late`, and the range longer by `far`, than the calibration has it.
+    left = [place(t[k] - late)[0] + far - r[k] for k in (0, n // 2, n - 1)]
+    turned = [place(t[k] - late)[1] - a[k] for k in (0, n // 2, n - 1)]
+    assert np.allclose(clean.range_sd_m[[0, n // 2, n - 1]], [x.std() for x in left], rtol=0.03)
+    assert np.allclose(clean.azimuth_sd_rad[[0, n // 2, n - 1]], [x.std() for x in turned], rtol=0.03)
+    # A single plot's motion nothing tells.
+    _, said = correct_and_say(plots.replace(track=np.arange(n)), one)
+    assert "of the clock is not in the sd of 21 of 21 plots" in said[0]
+    # Its own speed and heading do.
+    course = np.full(n, np.arctan2(150.0, -200.0))
+    carried = plots.replace(track=np.arange(n), speed_mps=np.full(n, 250.0), heading_rad=course)
+    alone, said = correct_and_say(carried, Calibration(one.terms, one.epoch_s, one.value, covariance[None], sensors=one.sensors))
+    assert said == ()
+    assert np.allclose(alone.range_sd_m, clean.range_sd_m, rtol=1e-3)
+
+
+def test_the_course_of_a_track_tells_where_its_target_points() -> None:
+    """An echo has no front: half of these carry the heading of its stern."""
+    n = 40
+    t = np.arange(n) * 1.0
+    east, north = 500 + 8.0 * t, 900 - 6.0 * t
+    heading = np.full(n, np.arctan2(8.0, -6.0))
+    zero = np.zeros((n, 3))
+    g = Geometry(np.hypot(east, north), np.arctan2(east, north), np.zeros(n), zero, zero, zero, heading, np.full(n, 40.0), t)
+    values = {"along_heading_per_length": -0.4}
+    plots = measured(g, values).replace(
+        track=np.zeros(n), length_m=40.0 + 15.0 * np.resize([-1, 0, 1], n)[:n], heading_rad=heading + np.pi * (np.arange(n) % 2)
+    )
+    assert distance_m(correct(plots, calibration(values)), g).max() < 0.2
+    # A target that stands points where its record says, and so does one seen from a radar that moves itself.
+    still = plots.replace(track=np.arange(n))
+    assert distance_m(correct(still, calibration(values)), g).max() > 20
+    moving = Sensors((Sensor(name="A", sac=1, sic=1),))
+    assert distance_m(correct(plots, calibration(values), sensors=moving), g).max() > 20
+    # Neither a jump nor a number that was given again is motion.
+    jump = plots.replace(azimuth_rad=np.resize([0.0, 3.0], n), range_m=np.full(n, 9e4), heading_rad=heading, length_m=g.length_m)
+    alone = correct(jump.replace(track=np.arange(n)), calibration(values))
+    assert np.array_equal(correct(jump, calibration(values)).range_m.round(6), alone.range_m.round(6))
+
+
+def test_held_terms_are_not_applied_and_the_others_make_up_for_it() -> None:
+    values = {"range_bias": 100.0, "range_gain": 1e-3}
+    one = calibration(values)
+    verdict = Verdict(channel="all", term="range_gain", decision="hold", why="it gains nothing")
+    covariance = np.array([[[100.0, -9e-3], [-9e-3, 1e-6]]])
+    held = Calibration(
+        one.terms, one.epoch_s, one.value, covariance,
+        sensors=(msgspec.structs.replace(one.sensors[0], verdicts=(verdict,)),),
+    )  # fmt: skip
+    g = truth(20)
+    plots = measured(g, {})
+    # Conditional mean by hand: 100 - (-9e-3 / 1e-6) * 1e-3.
+    assert np.allclose(plots.range_m - correct(plots, held).range_m, 109.0)
+    assert np.allclose(plots.range_m - correct(plots, held, terms="range_bias").range_m, 109.0)
+    both = correct(plots, held, terms="all")
+    assert np.allclose(plots.range_m - both.range_m, (100 + 1e-3 * plots.range_m) / 1.001)
+
+
+def test_a_term_of_accelerations_is_said_not_to_be_applied() -> None:
+    g = truth(5)
+    plots = measured(g, {})
+    clean, said = correct_and_say(plots, calibration({"range_lag": 1.0, "range_bias": 10.0}), terms="all")
+    assert any("range_lag was not applied" in text for text in said)
+    assert np.allclose(plots.range_m - clean.range_m, 10.0)
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 10**6), st.integers(1, 7))
+def test_what_is_advised_is_what_a_fit_without_the_held_terms_gives(seed: int, held: int) -> None:
+    """Least squares with all columns, cut down, against least squares with the kept columns alone; units far apart."""
+    rng = np.random.default_rng(seed)
+    names = ["range_bias", "range_gain", "azimuth_bias", "azimuth_cos", "azimuth_sin", "time_offset", "site_east", "site_north"]
+    scale = np.array([1.0, 1e-3, 1e-3, 1e-4, 1e-4, 0.1, 1.0, 1.0])
+    design = rng.normal(size=(60, 8)) @ (np.eye(8) + 0.7 * rng.normal(size=(8, 8))) / scale
+    y = design @ (scale * rng.normal(size=8)) + rng.normal(size=60)
+    keep = np.ones(8, bool)
+    keep[rng.choice(8, held, replace=False)] = False
+    full = np.linalg.inv(design.T @ design)
+    verdicts = tuple(
+        Verdict(channel="all", term=n, decision="apply" if k else rng.choice(["hold", "insufficient"]), why="")
+        for n, k in zip(names, keep, strict=True)
+    )
+    one = calibration(dict.fromkeys(names, 0.0))
+    summary = msgspec.structs.replace(one.sensors[0], verdicts=verdicts)
+    found = Calibration(one.terms, one.epoch_s, (full @ design.T @ y)[None], full[None], sensors=(summary,))
+    less = advised(found)
+    own = np.linalg.inv(design[:, keep].T @ design[:, keep])
+    assert [k.name for k in less.terms] == [n for n, k in zip(names, keep, strict=True) if k]
+    assert np.allclose(less.value[0] / scale[keep], own @ design[:, keep].T @ y / scale[keep], rtol=1e-6, atol=1e-9)
+    size = np.sqrt(np.diag(own))
+    assert np.allclose(less.covariance[0] / size[:, None] / size, own / size[:, None] / size, atol=1e-7)
+    assert np.array_equal(less.covariance[0], less.covariance[0].T)
+    by_name = advised(found, [n for n, k in zip(names, keep, strict=True) if k])
+    assert np.array_equal(by_name.value, less.value)
+    assert advised(found, "all") is found
+
+
+def test_terms_are_chosen_by_verdict_or_by_name() -> None:
+    one = calibration({"range_bias": 1.0, "azimuth_bias": 0.1, "range_lag": 1.0})
+    keys = (*one.terms, TermKey(257, "psr", "range_bias", "m"))
+    verdicts = (
+        Verdict(channel="all", term="azimuth_bias", decision="hold", why="its gain is 0.1 m"),
+        Verdict(channel="psr", term="range_bias", decision="insufficient", why=""),
+    )
+    found = Calibration(
+        keys, one.epoch_s, np.ones((1, 4)), np.eye(4)[None],
+        sensors=(msgspec.structs.replace(one.sensors[0], verdicts=verdicts),),
+    )  # fmt: skip
+    take, why = chosen(found)
+    assert take.tolist() == [True, False, False, False]
+    assert why[1] == "the advice is to hold it: its gain is 0.1 m"
+    assert "accelerations" in why[2]
+    assert why[3] == "the data are insufficient"
+    assert chosen(found, "range_bias")[0].tolist() == [True, False, False, True]
+    assert chosen(found, "range_bias@psr, range_lag")[0].tolist() == [False, False, True, True]
+    assert chosen(found, "all")[0].all()
+    for wrong in ("range_bais", "azimuth_bias@psr", ","):
+        with pytest.raises(SettingsError, match=r"range_bias@psr|no term is named"):
+            chosen(found, wrong)
+    assert len(advised(found, "azimuth_bias").terms) == 1

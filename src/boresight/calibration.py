@@ -14,7 +14,7 @@ import numpy as np
 from ._files import write_bytes
 from ._types import BoolArray, FloatArray
 from .errors import InputError, SettingsError
-from .terms import DEG, TERMS
+from .terms import DEG, TABLES, TERMS, summarised
 
 SCHEMA = "boresight-calibration/1"
 Decision = Literal["apply", "hold", "insufficient"]
@@ -220,7 +220,7 @@ def chosen(calibration: Calibration, terms: str | Sequence[str] = "advised") -> 
     """Which terms are to be applied (p,), and for each one why not ("" where it is).
 
     "advised" takes the terms whose verdict is to apply them, and those without a verdict; "all" takes every one; else names are
-    taken ("azimuth_bias", or "azimuth_bias.psr" for one channel; a string may be a comma-separated list).  Terms that need the
+    taken ("azimuth_bias", or "azimuth_bias@psr" for one channel; a string may be a comma-separated list).  Terms that need the
     target's accelerations are never taken by "advised": plots do not tell them.  Raises SettingsError for a name that the
     calibration does not have.
     """
@@ -229,22 +229,24 @@ def chosen(calibration: Calibration, terms: str | Sequence[str] = "advised") -> 
         return np.ones(len(keys), bool), ("",) * len(keys)
     if terms != "advised":
         wanted = [part.strip() for part in terms.split(",") if part.strip()] if isinstance(terms, str) else list(terms)
-        names = [{key.name, f"{key.name}.{key.channel}"} for key in keys]
+        names = [{name for base in (key.name, *_tables(key)) for name in (base, f"{base}@{key.channel}")} for key in keys]
         for name in wanted:
             if not any(name in own for own in names):
                 raise SettingsError(
                     f"the calibration has no term {name!r}",
                     where="terms",
-                    remedy=f"It has: {', '.join(dict.fromkeys(map(_term_name, keys)))}; or say advised, or all.",
+                    remedy=f"It has: {', '.join(summarised(map(_term_name, keys)))}; or say advised, or all.",
                 )
         if not wanted:
             raise SettingsError("no term is named", where="terms", remedy="Say advised, all, or names of terms.")
         take = np.array([any(name in own for name in wanted) for own in names])
         return take, tuple("" if here else "it was not asked for" for here in take.tolist())
-    verdicts = {(s.sensor, v.channel, v.term): v for s in calibration.sensors for v in s.verdicts}
+    verdicts = {(s.sensor, v.channel, v.term.partition("@")[0]): v for s in calibration.sensors for v in s.verdicts}
     why = []
     for key in keys:
-        verdict = verdicts.get((key.sensor, key.channel, key.name))
+        # A verdict may be on a table as a whole.
+        judged = (verdicts.get((key.sensor, key.channel, name)) for name in (key.name, *_tables(key)))
+        verdict = next((v for v in judged if v is not None), None)
         if verdict is not None and verdict.decision != "apply":
             word = "the data are insufficient" if verdict.decision == "insufficient" else "the advice is to hold it"
             why.append(f"{word}: {verdict.why}" if verdict.why else word)
@@ -275,14 +277,18 @@ def advised(calibration: Calibration, terms: str | Sequence[str] = "advised") ->
         r = c / scale[:, None] / scale
         gain = np.linalg.lstsq(r[np.ix_(~take, ~take)], r[np.ix_(~take, take)], rcond=None)[0].T
         value[k] = calibration.value[k, take] - scale[take] * (gain @ (calibration.value[k, ~take] / scale[~take]))
-        left = r[np.ix_(take, take)] - gain @ r[np.ix_(~take, take)]
-        covariance[k] = (left + left.T) / 2 * scale[take][:, None] * scale[take]
+        left = (r[np.ix_(take, take)] - gain @ r[np.ix_(~take, take)]) * scale[take][:, None] * scale[take]
+        covariance[k] = (left + left.T) / 2
     keys = tuple(key for key, here in zip(calibration.terms, take.tolist(), strict=True) if here)
     return replace(calibration, terms=keys, value=value, covariance=covariance)
 
 
 def _term_name(key: TermKey) -> str:
-    return key.name if key.channel == "all" else f"{key.name}.{key.channel}"
+    return key.name if key.channel == "all" else f"{key.name}@{key.channel}"
+
+
+def _tables(key: TermKey) -> list[str]:
+    return [table for table, nodes in TABLES.items() if key.name in nodes]
 
 
 def si_per_unit(key: TermKey) -> float:
