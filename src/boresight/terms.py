@@ -499,6 +499,19 @@ _SMOOTH = 2.0
 _KEPT_OUT = 1e-2
 
 
+def kept_out(table: str) -> tuple[Callable[[FloatArray], FloatArray], ...]:
+    """The shapes over the nodes (degrees or metres) that a table has none of, because other terms hold them."""
+    if table.startswith("azimuth"):
+        return (
+            np.ones_like,
+            lambda node: np.cos(node * DEG),
+            lambda node: np.sin(node * DEG),
+            lambda node: np.cos(2 * node * DEG),
+            lambda node: np.sin(2 * node * DEG),
+        )
+    return np.ones_like, lambda node: node / _RANGE_NODES_M[-1]
+
+
 def precision(terms: Sequence[Term]) -> FloatArray:
     """The prior's inverse covariance (p, p) of the terms' values, each in units of its `prior_sd`.
 
@@ -513,14 +526,12 @@ def precision(terms: Sequence[Term]) -> FloatArray:
     for table, members in groups.items():
         node = np.array([int(terms[k].base.rpartition("_")[2]) for k in members], np.float64)
         if table.startswith("azimuth"):
-            angle = node * DEG
-            apart = np.abs((node[:, None] - node + 180.0) % 360.0 - 180.0) / 15.0
-            kept_out = [np.ones(len(node)), np.cos(angle), np.sin(angle), np.cos(2 * angle), np.sin(2 * angle)]
+            apart = np.abs((node[:, None] - node + 180.0) % 360.0 - 180.0) * DEG / _AZIMUTH_STEP_RAD
         else:
             place = np.searchsorted(_RANGE_NODES_M, node).astype(np.float64)
             apart = np.abs(place[:, None] - place)
-            kept_out = [np.ones(len(node)), node / max(float(node.max()), 1.0)]
-        axes, size, _ = np.linalg.svd(np.stack(kept_out, axis=1), full_matrices=False)
+        kept = np.stack([shape(node) for shape in kept_out(table)], axis=1)
+        axes, size, _ = np.linalg.svd(kept, full_matrices=False)
         axes = axes[:, size > 1e-6 * size[0]]
         block = np.linalg.inv(np.exp(-apart / _SMOOTH)) + axes @ axes.T / _KEPT_OUT**2
         out[np.ix_(members, members)] = (block + block.T) / 2

@@ -9,17 +9,28 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from .._parallel import slices
 from .._types import FloatArray, IntArray
 from ..calibration import Accuracy, Calibration, Noise, NotDetermined, Summary, TermKey
 from ..errors import NothingToDo, SettingsError
-from ..model import Pairs, Sensor, Sensors
-from ..terms import MODELS, TERMS, Term, terms_of
+from ..model import EXCLUDED, Pairs, Plots, Sensor, Sensors
+from ..terms import MODELS, TERMS, Term, Whose, kept_out, reference_term, summarised, table_of, terms_of, touches
 from .least_squares import GROUND_KINDS, Dropped, Fit, LeastSquares, accuracy, check_settings, default_model, fit
-from .observe import Observed, fill_lengths, observe, unusable
+from .observe import CHUNK, Observed, fill_lengths, geometry, observe, unusable
 
 __all__ = ["LeastSquares", "fill_lengths", "register"]
 
 _EXTENT = ("along_heading", "along_heading_per_length")
+_REFERENCE = "reference_time_offset"
+# A node of a table needs so many plots; a further source of references so many, and such a share of them.
+_NODE_PLOTS = 5
+_SOURCE_PLOTS = 30
+_SOURCE_SHARE = 0.02
+# Offsets are one and the same where chance would let them differ more with this probability, and are there beyond so many sd
+# and seconds.
+_ALIKE = 0.01
+_LATE_SD = 4.0
+_LATE_S = 0.05
 
 
 class _Found(NamedTuple):
@@ -76,11 +87,16 @@ def register(
         raise NothingToDo("; ".join(failed))
     order = {s.key: k for k, s in enumerate(sensors)}
     found.sort(key=lambda f: order[f.summary.sensor])
+    every = [(f.summary.sensor, t) for f in found for t in f.fitted.terms]
+    value, covariance = np.concatenate([f.fitted.value for f in found]), _joint(found)
+    warnings += _late_reference(every, value, covariance)
+    # What is the references' own has done its work, and is no error of a radar.
+    kept = np.array([k for k, (_, t) in enumerate(every) if not t.is_nuisance])
     return Calibration(
-        terms=tuple(TermKey(f.summary.sensor, "all", t.name, t.unit) for f in found for t in f.fitted.terms),
+        terms=tuple(TermKey(key, t.channel, t.base, t.unit) for key, t in (every[k] for k in kept)),
         epoch_s=np.array([epoch]),
-        value=np.concatenate([f.fitted.value for f in found])[None],
-        covariance=_joint(found)[None],
+        value=value[None, kept],
+        covariance=covariance[None, kept[:, None], kept],
         sensors=tuple(f.summary for f in found),
         not_determined=tuple(n for f in found for n in f.not_determined),
         warnings=tuple([*warnings, *failed]),
@@ -95,6 +111,7 @@ def _one(
     seen = observe(pairs, rows, sensor, epoch)
     name, wanted = _wanted(sensor, model)
     terms, dropped, notes = _fitting(wanted, seen)
+    terms = (*terms, *_late_sources(terms, seen, pairs))
     if not terms:
         raise NothingToDo(f"sensor {sensor.name!r}: no error can be determined: {'; '.join(d.why for d in dropped)}")
     lengths = seen.length_m
@@ -105,7 +122,8 @@ def _one(
             notes.append(f"{unknown.sum():,} pairs are of targets of unknown length: {typical:.0f} m, the median, is taken")
             seen = _with_length(seen, np.where(unknown, typical, lengths))
     fitted = fit(seen, terms, settings)
-    dropped += fitted.dropped
+    dropped += [d for d in fitted.dropped if not d.term.startswith(_REFERENCE)]
+    notes += _said_of_sources(fitted, seen, pairs)
     notes += [*(d.note for d in fitted.dropped if d.note), *fitted.notes]
     names = {t.name for t in fitted.terms}
     if sensor.kind in GROUND_KINDS and "time_offset" in names and not names & set(_EXTENT):
@@ -122,7 +140,12 @@ def _one(
             f"reference's antenna looks like {10 / max(speed, 0.1):+.2f} s at the median speed of {speed:.0f} m/s"
         )
     if "range_bias" in names and sensor.kind not in GROUND_KINDS:
-        notes.append("range_bias holds the common part of the transponders' delays, which nothing can tell from it")
+        delay = [e.sd for e in fitted.effects if e.term == "transponder_delay"]
+        sd = (
+            f" (each target's own has a sd of {delay[-1]:.3g} m, its position's offset along the range included)" if delay else ""
+        )
+        notes.append(f"range_bias holds the common part of the transponders' delays, which nothing can tell from it{sd}")
+    notes += _primary(pairs.plots, rows, fitted)
     before, after, held = accuracy(seen, fitted)
     noise = fitted.noise_sd
     summary = Summary(
@@ -141,6 +164,7 @@ def _one(
         held_out_before_p95_m=_accuracy(before[np.isfinite(held)]).p95_m,
         held_out_after_p95_m=_accuracy(held).p95_m,
         notes=tuple(notes),
+        effects=fitted.effects,
     )
     return _Found(seen, fitted, summary, [NotDetermined(sensor.key, d.term, d.why) for d in dropped])
 
@@ -156,7 +180,7 @@ def _wanted(sensor: Sensor, model: str | Sequence[str]) -> tuple[str, tuple[Term
     terms = terms_of(model)
     if isinstance(model, str) and model in MODELS:
         return model, terms
-    return ",".join(t.name for t in terms), terms
+    return ",".join(summarised(t.name for t in terms)), terms
 
 
 def _fitting(wanted: Sequence[Term], seen: Observed) -> tuple[tuple[Term, ...], list[Dropped], list[str]]:
@@ -166,8 +190,15 @@ def _fitting(wanted: Sequence[Term], seen: Observed) -> tuple[tuple[Term, ...], 
     notes: list[str] = []
     heading = np.isfinite(seen.heading_rad)
     length = float(np.mean(np.isfinite(seen.length_m[heading]))) if heading.any() else 0.0
+    tables = _tables(wanted, seen)
     for term in wanted:
-        if "elevation" in term.needs and not seen.has_elevation:
+        if term.channel != "all" and not np.any(touches(term.channel, Whose(seen.channel, seen.flags, seen.source))):
+            dropped.append(Dropped(term.name, f"no plot is of the channel {term.channel}"))
+        elif term.name in tables:
+            why = tables[term.name]
+            if why and not any(d.term == table_of(term) for d in dropped):
+                dropped.append(Dropped(table_of(term), why))
+        elif "elevation" in term.needs and not seen.has_elevation:
             dropped.append(Dropped(term.name, "the sensor measures no elevation"))
         elif "heading" in term.needs and not heading.any():
             dropped.append(Dropped(term.name, "no target's heading is known: none carries one or moves faster than 3 m/s"))
@@ -181,6 +212,111 @@ def _fitting(wanted: Sequence[Term], seen: Observed) -> tuple[tuple[Term, ...], 
         else:
             terms.append(term)
     return tuple(terms), dropped, notes
+
+
+def _tables(wanted: Sequence[Term], seen: Observed) -> dict[str, str]:
+    """The nodes of tables that have no plots, or too few beside them to mean anything, and why."""
+    nodes = [t for t in wanted if table_of(t)]
+    if not nodes:
+        return {}
+    count = np.zeros(len(nodes))
+    for part in slices(len(seen), CHUNK):
+        place = geometry(seen, part, None, 0)
+        count += [np.count_nonzero(np.abs(t.columns(place)).max(axis=1) > 0.2) for t in nodes]
+    out: dict[str, str] = {}
+    for table in dict.fromkeys(table_of(t) for t in nodes):
+        mine = {t.name: t.base.rpartition("_")[2] for t in nodes if table_of(t) == table}
+        empty = [t.name for t, n in zip(nodes, count, strict=True) if table_of(t) == table and n < _NODE_PLOTS]
+        own = len(kept_out(table))
+        if len(mine) - len(empty) <= own:
+            why = f"only {len(mine) - len(empty)} of its {len(mine)} nodes have plots, and {own} numbers of them are other terms"
+            out |= dict.fromkeys(mine, why)
+        elif empty:
+            out |= dict.fromkeys(empty, f"its nodes {', '.join(mine[name] for name in empty)} have no plots")
+    return out
+
+
+def _late_sources(terms: Sequence[Term], seen: Observed, pairs: Pairs) -> tuple[Term, ...]:
+    """A nuisance for each further source of references that a good part of the plots are paired with."""
+    sources = _sources(pairs)
+    if len(sources) < 2 or not any(t.is_time for t in terms):
+        return ()
+    here = {int(key): int(n) for key, n in zip(*np.unique(seen.source, return_counts=True), strict=True)}
+    enough = {key for key, n in here.items() if n >= max(_SOURCE_PLOTS, _SOURCE_SHARE * len(seen))}
+    return tuple(reference_term(key) for key in sources[1:] if key in enough and enough != {key})
+
+
+def _sources(pairs: Pairs) -> list[int]:
+    """The ids of the references' sources, the one with most pairs first."""
+    keys, counts = np.unique(pairs.source[pairs.source >= 0], return_counts=True)
+    return [int(key) for key in keys[np.argsort(-counts, kind="stable")]]
+
+
+def _place(key: int) -> str:
+    return f"{key >> 8}/{key & 255}" if 0 <= key < 65536 else f"id {key}"
+
+
+def _said_of_sources(fitted: Fit, seen: Observed, pairs: Pairs) -> list[str]:
+    """By how much the further references are later than the first, and which could not be told."""
+    out = []
+    for k, term in enumerate(fitted.terms):
+        if term.is_nuisance:
+            sd = float(np.sqrt(fitted.covariance[k, k]))
+            out.append(
+                f"the reference {_place(int(term.channel.split()[1]))} is stamped {fitted.value[k]:+.3f} ± {sd:.3f} s later than "
+                f"{_place(_sources(pairs)[0])}: corrected for here; time_offset is relative to the latter"
+            )
+    for d in fitted.dropped:
+        if d.term.startswith(_REFERENCE):
+            out.append(f"whether the reference {_place(int(d.term.split()[1]))} is later than the other cannot be told: {d.why}")
+    return out
+
+
+def _late_reference(every: Sequence[tuple[int, Term]], value: FloatArray, covariance: FloatArray) -> list[str]:
+    """A warning where all radars show one and the same time offset: it may be the reference's."""
+    from scipy.special import chdtrc
+
+    k = np.array([i for i, (_, t) in enumerate(every) if t.name == "time_offset"], np.int64)
+    if not len(k):
+        return []
+    inside = covariance[np.ix_(k, k)]
+    weight = np.linalg.solve(inside, np.ones(len(k)))
+    sd = float(1 / np.sqrt(weight.sum()))
+    mean = float(weight @ value[k] / weight.sum())
+    off = value[k] - mean
+    alike = float(chdtrc(len(k) - 1, off @ np.linalg.solve(inside, off))) if len(k) > 1 else 1.0
+    if alike < _ALIKE or abs(mean) < max(_LATE_SD * sd, _LATE_S):
+        return []
+    if len(k) > 1:
+        which = f"all {len(k)} radars show the same time offset"
+    elif mean < 0:
+        which = "the time offset is that of stamps before the measurement"
+    else:
+        return []
+    later = "late" if mean < 0 else "early"
+    return [f"{which} ({mean:+.3f} ± {sd:.3f} s): the reference may be stamped {later} by as much; nothing here can tell"]
+
+
+def _primary(plots: Plots, rows: IntArray, fitted: Fit) -> list[str]:
+    """The primary's own biases, where combined plots tell primary minus secondary (I048/130)."""
+    flags = plots.flags[rows] & np.uint32(EXCLUDED)
+    told = rows[np.isfinite(plots.psr_ssr_range_m[rows]) & np.isfinite(plots.psr_ssr_azimuth_rad[rows]) & (flags == 0)]
+    if len(told) < _SOURCE_PLOTS:
+        return []
+    value = {t.name: (v, s) for t, v, s in zip(fitted.terms, fitted.value, np.sqrt(np.diag(fitted.covariance)), strict=True)}
+    parts = []
+    for name, column, unit, digits in (
+        ("range_bias", plots.psr_ssr_range_m[told], TERMS["range_bias"], 1),
+        ("azimuth_bias", plots.psr_ssr_azimuth_rad[told], TERMS["azimuth_bias"], 4),
+    ):
+        middle = float(np.median(column))
+        scatter = float(1.4826 * np.median(np.abs(column - middle)))
+        scale = unit.si_per_unit
+        text = f"{middle / scale:+.{digits}f} {unit.unit} (sd of a plot {scatter / scale:.{digits}f})"
+        if name in value:
+            text += f", so that the primary's own {name} is {(middle + value[name][0]) / scale:+.{digits}f} {unit.unit}"
+        parts.append(text)
+    return [f"primary minus secondary of {len(told):,} combined plots (I048/130), median: {'; '.join(parts)}"]
 
 
 def _accuracy(distance: FloatArray) -> Accuracy:

@@ -17,10 +17,10 @@ import numpy as np
 
 from .._parallel import in_threads, slices
 from .._types import BoolArray, FloatArray, IntArray
-from ..calibration import Choice
+from ..calibration import Choice, Effect
 from ..errors import NothingToDo, SettingsError
 from ..model import Sensor
-from ..terms import DEG, TERMS, Term
+from ..terms import CHANNELS, DEG, TERMS, Term, precision, table_of
 from . import mixed
 from .observe import CHUNK, Observed, distances, linearise, look, take
 
@@ -28,9 +28,12 @@ GROUND_KINDS = ("surface", "marine")
 # Which term of an inseparable pair stays: the earlier one (METHODS section 6: range, azimuth, time, extent).
 _ORDER = (
     "range_bias", "azimuth_bias", "elevation_bias", "range_gain", "azimuth_cos", "azimuth_sin", "tilt_north", "tilt_east",
-    "time_offset", "along_heading_per_length", "along_heading", "site_east", "site_north", "site_up",
+    "time_offset", "along_heading_per_length", "along_heading", "site_east", "site_north", "site_up", "azimuth_cos2",
+    "azimuth_sin2", "range_refraction", "clock_drift",
 )  # fmt: skip
 _EXTENT = ("along_heading", "along_heading_per_length")
+# Transponders answer early or late by up to 0.5 us (Mode A/C) or 0.25 us (Mode S), evenly spread; half of it is range.
+_DELAY_SD_M = {"ssr": 149.9 * 0.5 / np.sqrt(3), "mode_s": 149.9 * 0.25 / np.sqrt(3), "combined": 149.9 * 0.25 / np.sqrt(3)}
 # Plots that the robust start is found on; short blocks and plots that the variance components are estimated on.
 _START_PLOTS = 60_000
 _VARIANCE_BLOCKS = 1_500
@@ -176,7 +179,8 @@ class Fit(NamedTuple):
     pair; `effective` the effective number of targets.  What the sensors share in one target: `effect_names`, `effect_variance`
     (w,), `scores` (G, w) with `information` (G, w, w), and `influence` (G, w, p) on the normal equations.  `held_out` (G, p) is
     the value found without the fold of each target; `normal` (G, p + 1, p + 1) are the targets' normal equations, about zero
-    and in units of the terms' prior sd.  `choices` are the steps of the search for the model.
+    and in units of the terms' prior sd.  `choices` are the steps of the search for the model, `effects` the random errors that
+    plots share.
     """
 
     terms: tuple[Term, ...]
@@ -198,12 +202,14 @@ class Fit(NamedTuple):
     choices: tuple[Choice, ...]
     dropped: tuple[Dropped, ...]
     notes: tuple[str, ...]
+    effects: tuple[Effect, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
     """How one sensor's rows fall into short blocks, long blocks and targets, and which effects each level has.
 
+    A level's effects are constant over `block_s`.
     `block` (B + 1,) is the first row of each short block; `long` the first short block of each long one; `target` the first long
     block of each target; `target_block` (G + 1,) the first short block of each target.
     """
@@ -213,6 +219,7 @@ class _Layout:
     target: IntArray
     target_block: IntArray
     effects: tuple[tuple[_Effect, ...], ...]
+    block_s: tuple[float, float, float]
     channels: int
 
     @property
@@ -305,7 +312,21 @@ def _kind(seen: Observed) -> _Kind:
         (s.azimuth_sd_deg * DEG) if s.azimuth_sd_deg else kind.noise[1],
         (s.elevation_sd_deg * DEG) if s.elevation_sd_deg else kind.noise[2],
     )
-    return kind._replace(noise=noise)
+    levels = kind.levels
+    delay = _delay_sd_m(seen)
+    if delay is not None:
+        top = tuple(e._replace(sd=delay) if e.term == "range_bias" else e for e in levels[-1])
+        levels = (*levels[:-1], top)
+    return kind._replace(noise=noise, levels=levels)
+
+
+def _delay_sd_m(seen: Observed) -> float | None:
+    """How much the delays of the targets' transponders may plausibly differ, as range; None for a primary radar."""
+    if seen.sensor.kind in GROUND_KINDS:
+        return None
+    counts = {name: int(np.isin(seen.channel, CHANNELS[name]).sum()) for name in ("psr", "ssr", "mode_s")}
+    name = max(counts, key=lambda k: counts[k]) if any(counts.values()) else seen.sensor.kind
+    return _DELAY_SD_M.get(name)
 
 
 def _layout(seen: Observed, kind: _Kind, settings: LeastSquares) -> _Layout:
@@ -341,6 +362,7 @@ def _layout(seen: Observed, kind: _Kind, settings: LeastSquares) -> _Layout:
         target=np.asarray(np.searchsorted(long_row, target_row), np.int64),
         target_block=np.r_[target_block, len(block)],
         effects=tuple(effects),
+        block_s=(short, long, float("inf")),
         channels=3 if seen.has_elevation else 2,
     )
 
@@ -411,7 +433,7 @@ def _robust_start(
     """
     p, c = len(terms), layout.channels
     variances = mixed.Variances(np.array(kind.noise[:c]) ** 2, layout.guess)
-    prior_sd = np.array([t.prior_sd for t in terms])
+    prior, prior_sd = precision(terms), np.array([t.prior_sd for t in terms])
     value, spread = np.zeros(p) if at is None else at, np.ones(c)
     late = 0 if at is None else 1
 
@@ -429,7 +451,7 @@ def _robust_start(
         return np.asarray(np.maximum([1.4826 * np.median(q) if len(q) else 1.0 for q in sizes], 1e-3))
 
     for number in range(settings.max_iterations):
-        a, b = np.diag(np.ones(p)), -value / prior_sd
+        a, b = prior.copy(), -prior @ (value / prior_sd)
         pieces = in_threads(piece, slices(len(sample), CHUNK // 2))
         spread = scale(pieces)
         convex = (number < 6 and at is None) or late == 0
@@ -646,8 +668,8 @@ def _settle(
 ) -> _State:
     """Variance components, weights and values in turn, until the values rest, on `some` targets, whose trust it holds."""
     part, part_layout, which = some
-    p, c = len(terms), part_layout.channels
-    prior, prior_sd = np.ones(p), np.array([t.prior_sd for t in terms])
+    c = part_layout.channels
+    prior, prior_sd = precision(terms), np.array([t.prior_sd for t in terms])
     guess = mixed.Variances(np.array(kind.noise[:c]) ** 2, part_layout.guess)
     every = (0, len(which))
     state = replace(start, trust=np.ones(len(which)))
@@ -683,7 +705,7 @@ def _whole(
 ) -> tuple[_State, mixed.Reduced, FloatArray]:
     """What some targets settled, with all of them: the state, the targets reduced there, and each pair's weight."""
     state, which, prior_sd = settled, some[2], np.array([t.prior_sd for t in terms])
-    prior = np.ones(len(terms))
+    prior = precision(terms)
     trust = np.ones(len(layout.target))
     trust[which] = state.trust
     state = replace(state, trust=trust)
@@ -766,11 +788,29 @@ def _rank_deficient(
         for k in range(c):
             x = np.stack([columns[t.name][:, k] for t in terms], axis=1)
             gram += (x * w[:, k, None]).T @ x
-    bad = rank_check(gram, terms, settings)
+    prior = np.array([t.prior_sd for t in terms])
+    information, free = _beside_tables(gram * np.outer(prior, prior), terms)
+    if not free:
+        return None
+    own = np.array([t.prior_sd for t in free])
+    bad = rank_check(information / np.outer(own, own) if len(free) < p else gram, free, settings)
     if bad is not None:
         return bad
-    prior = np.array([t.prior_sd for t in terms])
-    return pair_check(np.asarray(np.linalg.inv(gram * np.outer(prior, prior)), np.float64), terms, settings)
+    return pair_check(np.asarray(np.linalg.inv(information), np.float64), free, settings)
+
+
+def _beside_tables(information: FloatArray, terms: Sequence[Term]) -> tuple[FloatArray, tuple[Term, ...]]:
+    """The information of the terms that are no nodes of a table, with the tables known as far as data and their prior tell.
+
+    `information` (p, p) is in units of the terms' prior sd.  Nodes lean on their neighbours: their rank is not in question.
+    """
+    node = np.array([bool(table_of(t)) for t in terms])
+    if not node.any():
+        return information, tuple(terms)
+    cross = information[np.ix_(node, ~node)]
+    inner = (information + precision(terms))[np.ix_(node, node)]
+    rest = information[np.ix_(~node, ~node)] - cross.T @ np.linalg.solve(inner, cross)
+    return (rest + rest.T) / 2, tuple(t for t in terms if not table_of(t))
 
 
 def rank_check(gram: FloatArray, terms: Sequence[Term], settings: LeastSquares) -> Dropped | None:
@@ -813,10 +853,12 @@ def rank_check(gram: FloatArray, terms: Sequence[Term], settings: LeastSquares) 
 def _inseparable(reduced: FloatArray, terms: tuple[Term, ...], settings: LeastSquares) -> Dropped | None:
     """The term to leave out next: of the most correlated pair the later; else the one that is less certain than its prior."""
     p = len(terms)
-    information = reduced[:, :p, :p].sum(axis=0)
+    information, free = _beside_tables(reduced[:, :p, :p].sum(axis=0), terms)
+    if not free:
+        return None
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     covariance = np.linalg.pinv(information / size[:, None] / size, rcond=1e-12, hermitian=True) / size[:, None] / size
-    return pair_check(covariance, terms, settings)
+    return pair_check(covariance, free, settings)
 
 
 def pair_check(covariance: FloatArray, terms: Sequence[Term], settings: LeastSquares) -> Dropped | None:
@@ -852,8 +894,8 @@ def pair_check(covariance: FloatArray, terms: Sequence[Term], settings: LeastSqu
     return None
 
 
-def _rank_of(term: Term) -> int:
-    return _ORDER.index(term.name) if term.name in _ORDER else len(_ORDER)
+def _rank_of(term: Term) -> tuple[int, bool]:
+    return _ORDER.index(term.base) if term.base in _ORDER else len(_ORDER), term.channel != "all"
 
 
 def _absorbs(keep: Term, drop: Term, per: float) -> str:
@@ -879,7 +921,7 @@ def _finish(
     doubt: FloatArray,
 ) -> Fit:
     p, c = len(terms), layout.channels
-    prior, prior_sd = np.ones(p), np.array([t.prior_sd for t in terms])
+    prior, prior_sd = precision(terms), np.array([t.prior_sd for t in terms])
     w = reduced.effects.shape[1]
     notes = []
     at = state.value / prior_sd
@@ -934,12 +976,24 @@ def _finish(
         scores=own_scores,
         information=effects[:, :, :w],
         influence=influence / prior_sd,
-        held_out=(at + _held_out(scores.terms, at, layout)) * prior_sd,
+        held_out=(at + _held_out(scores.terms, prior, at, layout)) * prior_sd,
         normal=about_zero(scores.terms, at),
         choices=choices,
         dropped=tuple(dropped),
         notes=tuple(notes),
+        effects=_shared_effects(seen, layout, state.variances),
     )
+
+
+def _shared_effects(seen: Observed, layout: _Layout, variances: mixed.Variances) -> tuple[Effect, ...]:
+    """The random errors that plots of one target share, by what they act as; those of a target come last."""
+    out: list[Effect] = []
+    for level, block, variance in zip(layout.effects, layout.block_s, variances.effects, strict=True):
+        for e in level:
+            # What is a target's own in range for good is its transponder's delay, as far as anything tells.
+            delay = e.term == "range_bias" and np.isinf(block) and _delay_sd_m(seen) is not None
+            out.append(Effect("transponder_delay" if delay else e.term, block, float(np.sqrt(variance[e.group]))))
+    return tuple(out)
 
 
 def _plain(
@@ -991,7 +1045,7 @@ def folds(size: IntArray) -> IntArray:
     return fold
 
 
-def _held_out(reduced: FloatArray, at: FloatArray, layout: _Layout) -> FloatArray:
+def _held_out(reduced: FloatArray, prior: FloatArray, at: FloatArray, layout: _Layout) -> FloatArray:
     """The step (G, p) found without the fold that each target is in; NaN where no target would be left."""
     target_rows = layout.block[layout.target_block]
     fold = folds(np.diff(target_rows))
@@ -1000,7 +1054,7 @@ def _held_out(reduced: FloatArray, at: FloatArray, layout: _Layout) -> FloatArra
         for k in range(_FOLDS):
             mine = fold == k
             if mine.any():
-                out[mine] = mixed.solve(reduced[~mine], np.ones(len(at)), at).value
+                out[mine] = mixed.solve(reduced[~mine], prior, at).value
     return out
 
 

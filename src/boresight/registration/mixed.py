@@ -88,13 +88,18 @@ def reduce(products: Products, variances: Variances) -> Reduced:
 def solve(reduced: FloatArray, prior: FloatArray, at: FloatArray) -> Solution:
     """Generalised least squares over targets `reduced` (G, p + 1, p + 1), linearised at the value `at` (p,).
 
-    `prior` (p,) is the ridge: inverse variances about zero.  The step starts from `at`.
+    `prior` is the ridge about zero: inverse variances (p,), or an inverse covariance (p, p).  The step starts from `at`.
     """
-    p = len(prior)
+    p, prior = len(prior), ridge(prior)
     total = reduced.sum(axis=0)
-    covariance = np.linalg.inv(total[:p, :p] + np.diag(prior))
+    covariance = np.linalg.inv(total[:p, :p] + prior)
     covariance = (covariance + covariance.T) / 2
-    return Solution(covariance @ (total[:p, p] - prior * at), covariance)
+    return Solution(covariance @ (total[:p, p] - prior @ at), covariance)
+
+
+def ridge(prior: FloatArray) -> FloatArray:
+    """The inverse covariance (p, p) of a prior, given as such or by inverse variances (p,)."""
+    return np.diag(prior) if prior.ndim == 1 else prior
 
 
 def estimate(
@@ -300,11 +305,11 @@ def honest_covariance(scores: Scores, prior: FloatArray, step: FloatArray) -> Ho
     shape is followed as far as it differs from a multiple of the identity by more than chance (Ledoit and Wolf 2004).
     `benchmarks/truthfulness.py` has the figures of all the candidates.
     """
-    p = len(prior)
+    p, prior = len(prior), ridge(prior)
     a = scores.terms[:, :p, :p]
-    bread = np.linalg.inv(a.sum(axis=0) + np.diag(prior))
+    bread = np.linalg.inv(a.sum(axis=0) + prior)
     bread = (bread + bread.T) / 2
-    meat = scores.meat.sum(axis=0) + np.diag(prior)
+    meat = scores.meat.sum(axis=0) + prior
     model = bread @ meat @ bread
     root = np.linalg.cholesky((model + model.T) / 2)
     # Into coordinates in which the estimate's covariance under the model is the identity.
