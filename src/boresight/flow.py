@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from .association import Association
     from .calibration import Calibration, Input
     from .frozen import Frozen
+    from .writing.reencode import Original, Reencoded
+    from .writing.sidecar import Provenance
 
 Progress = Callable[[str], None]
 # conformity.json is there where a requirement was given.
@@ -66,6 +68,21 @@ class Run:
     frozen: Frozen | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Corrected:
+    """What became of recordings that were corrected.
+
+    `plots` rows were written; `provenance` is what `sidecar` holds; `encoded` tells of a recording of ASTERIX that was written
+    again (None: a table).
+    """
+
+    plots: int
+    provenance: Provenance
+    sidecar: Path
+    encoded: Reencoded | None
+    warnings: tuple[str, ...]
+
+
 def calibrate(
     plots: Sequence[str | Path],
     reference: Sequence[str | Path],
@@ -99,6 +116,7 @@ def calibrate(
     from .reading.site import site_disagreements
     from .registration import register
     from .terms import terms_of
+    from .writing.sidecar import corrected_before
 
     if not plots or not reference:
         raise InputError("at least one recording of plots and one of reference positions are needed")
@@ -122,6 +140,7 @@ def calibrate(
     plots, reference = _once(plots, warnings), _once(reference, warnings)
     radar = _read_all(plots, editions, date, warnings, progress)
     trusted = _read_all(reference, editions, date, warnings, progress)
+    warnings += [text for path in plots for file in _files_of(path) for text in corrected_before(file)]
     measured = _with_known_sensor(Plots.concat([r.plots for r in radar]), sensors, radar, warnings)
     warnings += site_disagreements([s for r in radar for s in r.sources], sensors)
     fixes = _others(trusted, measured, warnings)
@@ -289,28 +308,125 @@ def correct_files(
     sensors: str | Path | None = None,
     date: datetime.date | None = None,
     editions: Mapping[int, str] | None = None,
+    terms: str | Sequence[str] = "advised",
     progress: Progress = _silent,
-) -> tuple[int, tuple[str, ...]]:
-    """Correct the plots of recordings and write them as a table; returns the number of rows and the warnings."""
+) -> Corrected:
+    """Take the errors of a calibration out of recordings and write them to the file `out`, with its provenance beside it.
+
+    An ending .parquet or .csv makes a table of the plots of all recordings.  Another one (that of the recording, or .ast) writes
+    a single recording of ASTERIX again, with the measured items encoded anew where they stand and every other byte as it was.
+    `terms` are those that the calibration's verdicts advise, "all", or names.  What stood at `out` is replaced.
+
+    Raises SettingsError where `out` is an input or has another ending and for unknown `terms`, InputError for files that cannot
+    be used, for a calibration of another radar and for a recording that was corrected before, NothingToDo where there is no plot
+    or no term to apply.
+    """
+    from ._files import check_place
     from .alignment import apply_time_offsets
-    from .calibration import load_calibration
+    from .calibration import Input, chosen, load_calibration
     from .correction import correct_and_say
+    from .reading import sha256_of
+    from .writing.reencode import open_original, reencode
+    from .writing.sidecar import Provenance, describe, find_sidecar, sidecar_of, terms_done, write_sidecar
     from .writing.tables import write_table
 
-    warnings: list[str] = []
+    out = Path(out)
+    as_table = _is_table(plots, out)
+    given = [Path(p) for p in (*plots, calibration, *([sensors] if sensors is not None else []))]
+    if any(out.resolve() == p.resolve() for p in given):
+        raise SettingsError(f"{out} is one of the inputs, which are never written to", where="--out")
+    check_place(out)
     found = load_calibration(calibration)
-    recordings = _read_all(plots, editions, date, warnings, progress)
-    progress("correcting")
-    table = Plots.concat([r.plots for r in recordings])
+    chosen(found, terms)
+    warnings: list[str] = []
+    plots = _once(plots, warnings)
+    files = [file for path in plots for file in _files_of(path)]
+    for file in files:
+        before = find_sidecar(file)
+        if before is not None:
+            raise InputError(
+                f"was corrected already: {describe(before[1])} ({before[0].name})",
+                path=file,
+                remedy=f"Give the original recording, {', '.join(i.path for i in before[1].inputs)}.",
+            )
+    original = None
+    if as_table:
+        recordings = _read_all(plots, editions, date, warnings, progress)
+        table = Plots.concat([r.plots for r in recordings])
+    else:
+        progress(f"reading {plots[0]}")
+        original = open_original(plots[0], editions=editions, date=date)
+        warnings += _said_of(plots[0], original)
+        table = original.plots
     if not len(table):
-        raise NothingToDo(f"no record of {_names(recordings)} holds a measured polar position")
+        raise NothingToDo(f"no record of {', '.join(map(str, plots))} holds a measured polar position")
+    done = terms_done(found, set(table.sensor.tolist()), terms)
+    if done and all(term.held for term in done):
+        raise NothingToDo(
+            f"no term of {calibration} is to be applied: {'; '.join(f'{t.term}: {t.held}' for t in done)}",
+            remedy="--terms all applies them all, --terms NAME,NAME some.",
+        )
     known = load_sensors(sensors) if sensors is not None else None
+    fixed: dict[str, float] = {}
+    measured = table
     if known is not None:
-        table = apply_time_offsets(table, known)
-    clean, said = correct_and_say(table, found, sensors=known)
-    progress("writing")
-    write_table(out, clean)
-    return len(clean), tuple([*warnings, *said])
+        measured = apply_time_offsets(table, known)
+        there = set(table.sensor.tolist())
+        fixed = {f"{s.key >> 8}/{s.key & 255}": s.time_offset_s for s in known if s.time_offset_s and s.key in there}
+    for place, offset in fixed.items():
+        warnings.append(
+            f"the fixed time offset of {place} in sensors.toml ({offset:g} s) is taken from the stamps too: with the corrected "
+            "recording it must not stand there"
+        )
+    progress("correcting")
+    clean, said = correct_and_say(measured, found, sensors=known, terms=terms)
+    progress(f"writing {out}")
+    beside = out
+    try:
+        with tempfile.TemporaryDirectory(prefix=".boresight-", dir=out.parent) as part:
+            beside = Path(part) / out.name
+            encoded = None
+            if original is None:
+                write_table(beside, clean)
+            else:
+                encoded = reencode(original, clean, beside)
+            provenance = Provenance(
+                version=__version__,
+                output=Input(path=out.name, sha256=sha256_of(beside), bytes=beside.stat().st_size),
+                inputs=tuple(_input(file) for file in files),
+                calibration=_input(calibration),
+                terms=done,
+                fixed_time_offset_s=fixed,
+                rounding={r.item: f"{r.rms:.3g} {r.unit}" for r in encoded.rounding} if encoded is not None else {},
+            )
+            write_sidecar(provenance, sidecar_of(beside))
+            # The provenance first: a corrected recording without it could be corrected again.
+            sidecar_of(beside).replace(sidecar_of(out))
+            beside.replace(out)
+    except InputError as error:
+        raise InputError(str(error).replace(str(beside), str(out))) from error
+    except OSError as error:
+        raise InputError(f"cannot be written ({error.strerror or error})", path=out, remedy="Write elsewhere.") from error
+    return Corrected(len(clean), provenance, sidecar_of(out), encoded, tuple([*warnings, *said]))
+
+
+def _is_table(plots: Sequence[str | Path], out: Path) -> bool:
+    """Whether `out` is to be a table; raises SettingsError where it can be neither that nor a recording of ASTERIX."""
+    from .reading import is_asterix
+
+    ending = out.suffix.lower()
+    if ending in (".parquet", ".csv"):
+        return True
+    what = f"{out} ends neither in .parquet nor in .csv"
+    if len({Path(p).resolve() for p in plots}) != 1:
+        raise SettingsError(f"{what}, and only a single recording can be written again as ASTERIX", where="--out")
+    own = Path(plots[0]).suffix
+    if ending not in (own.lower(), ".ast"):
+        remedy = f"A recording of ASTERIX is written again as {own or '.ast'} or .ast."
+        raise SettingsError(what, where="--out", remedy=remedy)
+    if not is_asterix(plots[0]):
+        raise SettingsError(f"{what}, and {plots[0]} is no ASTERIX", where="--out")
+    return False
 
 
 def demo(out: str | Path, *, seed: int = 1, progress: Progress = _silent) -> Run:
@@ -349,14 +465,20 @@ def _read_all(
     for path in paths:
         progress(f"reading {path}")
         recording = read(path, editions=dict(editions or {}), date=date)
-        warnings += [f"{path}: {text}" if str(path) not in text else text for text in recording.warnings]
-        if recording.damaged:
-            first = recording.damaged[0]
-            places = len(recording.damaged)
-            what = "one damaged place was left out" if places == 1 else f"{places:,} damaged places were left out; the first"
-            warnings.append(f"{path}: {what} at byte {first.offset}: {first.why}")
+        warnings += _said_of(path, recording)
         recordings.append(recording)
     return recordings
+
+
+def _said_of(path: str | Path, recording: Recording | Original) -> list[str]:
+    """A recording's warnings and its damage, in words."""
+    said = [f"{path}: {text}" if str(path) not in text else text for text in recording.warnings]
+    if recording.damaged:
+        first = recording.damaged[0]
+        places = len(recording.damaged)
+        what = "one damaged place was left out" if places == 1 else f"{places:,} damaged places were left out; the first"
+        said.append(f"{path}: {what} at byte {first.offset}: {first.why}")
+    return said
 
 
 def _with_known_sensor(plots: Plots, sensors: Sensors, recordings: Sequence[Recording], warnings: list[str]) -> Plots:

@@ -58,10 +58,10 @@ _ITEMS: dict[int, _Codes] = {
 }
 _NAMES = ("140", "141", "040", "042")
 
-_NEGATIVE = "the corrected range is negative"
-_BEYOND = "the corrected position is beyond what its items can hold"
-_UNKNOWN = "the correction has no finite value for it"
-_PIECES = "it lies in a datagram that was sent in pieces"
+_NEGATIVE = "get a negative range"
+_BEYOND = "get a position beyond what their items can hold"
+_UNKNOWN = "have no finite position or correction"
+_PIECES = "lie in datagrams that were sent in pieces"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,9 +174,11 @@ def reencode(original: Original, corrected: Plots, out: str | Path) -> Reencoded
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror or error})", path=original.path) from error
     if len(plots) - len(order):
-        tally.left["the calibration has nothing to correct in it"] = len(plots) - len(order)
+        tally.left["have nothing to correct: the calibration is not of their radar or channel"] = len(plots) - len(order)
     if original.records - len(plots):
-        tally.left["it holds no measured polar position"] = original.records - len(plots)
+        tally.left["hold no measured polar position (north marks, status): they keep the radar's own clock"] = (
+            original.records - len(plots)
+        )
     return Reencoded(
         kind=original.kind,
         records=original.records,
@@ -184,7 +186,7 @@ def reencode(original: Original, corrected: Plots, out: str | Path) -> Reencoded
         changed=int(np.count_nonzero(done)),
         left=tally.left,
         rounding=tally.rounding(),
-        notes=tuple(f"{text}: {count:,} records" for text, count in tally.notes.items()),
+        notes=tuple(f"{count:,} records {text}" for text, count in tally.notes.items()),
     )
 
 
@@ -335,9 +337,9 @@ def _patch_form(
             new = np.where(same, np.rint(a).astype(np.int64), _coded(exact, key, salt))
             beyond |= good & has & (np.abs(new) >= edge)
             flat.append((bits, exact, new, has))
-        tally.note("the Cartesian position stands at the end of its range and was left", good & clipped)
+        tally.note("have a Cartesian position at the end of its range, which was left", good & clipped)
         moved = good & has & ~beyond & ~same
-        tally.note("the Cartesian position is not that of the polar one and was moved along with it", moved)
+        tally.note("have a Cartesian position that is not the polar one; it was moved along with it", moved)
     tally.leave(_BEYOND, beyond)
     good &= ~beyond
 
@@ -349,7 +351,7 @@ def _patch_form(
     whole = np.rint(np.mod(np.where(timed, old.time_s[rows], 0.0), DAY_S) * _TIMES_PER_S).astype(np.int64)
     exact_time = whole - np.where(timed, late, 0.0) * _TIMES_PER_S
     time_code = _coded(exact_time, whole, 5)
-    tally.note("the time is not known and was left", good & ~timed)
+    tally.note("have no known time; only their position was corrected", good & ~timed)
 
     prefix = f"I{category:03d}/"
     for bits, at, exact, code, use in (
