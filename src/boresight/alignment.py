@@ -20,6 +20,7 @@ from ._parallel import in_threads, slices
 from ._types import AnyArray, BoolArray, FloatArray, IntArray
 from .errors import InputError, NothingToDo, SettingsError
 from .geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate_back
+from .heights import SENSORS_TOML, TRAFFIC, HeightProfile, height_profile
 from .measure import position_from_plane
 from .model import Channel, Fixes, Flag, Plots, Sensors, Source
 
@@ -125,29 +126,27 @@ _OTHER_SD_M = 25.0
 _GEOMETRIC_SD_M = 20.0
 _GROUND_SD_M = 5.0
 _NAMES = {"adsb": "ADS-B", "mlat": "multilateration", "ais": "AIS"}
-_LEVEL_M = 1000.0
-_HOUR_S = 3600.0
-_MIN_PROFILE = 20
+_FEW = 20
 
 
 def locate(
-    fixes: Fixes, sensors: Sensors, sources: Sequence[Source] = (), *, profile: Fixes | None = None
+    fixes: Fixes, sensors: Sensors, sources: Sequence[Source] = (), *, heights: HeightProfile | None = None
 ) -> tuple[Fixes, tuple[str, ...]]:
     """The same fixes, all geodetic with ellipsoidal heights and accuracies; and what the user must know of how that was done.
 
     Cartesian positions become geodetic about their source's reference point (`sensors`, else what the stream itself says in
-    `sources`), at the target's own height on the ellipsoid.  Heights that a fix lacks come from, in this order: its pressure
-    altitude and the traffic's own geometric-minus-pressure difference by level and hour (from these fixes and from `profile`, a
-    table that offers more); its pressure altitude as in the standard atmosphere (sd 30 m + 5 % of the height); for targets on
-    the ground, or without any altitude at a surface site, the ground's height.  Missing accuracies are filled by the kind of
-    the source.
+    `sources`), at the target's own height on the ellipsoid.  Heights that a fix lacks come from its pressure altitude and the
+    profile `heights` of geometric minus pressure altitude (default: `height_profile` of these fixes: of the traffic itself, else
+    of what `sensors` tells of the atmosphere, else the standard atmosphere), whose sd goes into `vertical_sd_m`; for targets on
+    the ground, ships, or targets without any altitude at a surface site, from the ground's height.  Missing accuracies are
+    filled by the kind of the source.
 
     Rows keep their order; a row that cannot be placed keeps NaN and is counted in a warning.  Raises SettingsError where a
     source's reference point is not known.
     """
     said: list[str] = []
     points = {int(key): _reference_point(int(key), sensors, sources) for key in np.unique(fixes.source)}
-    height, vertical_sd = _heights(fixes, sensors, points, profile, said)
+    height, vertical_sd = _heights(fixes, sensors, points, heights, said)
     latitude, longitude = fixes.latitude_rad.copy(), fixes.longitude_rad.copy()
     cartesian = ~(np.isfinite(latitude) & np.isfinite(longitude)) & np.isfinite(fixes.x_m) & np.isfinite(fixes.y_m)
     for key in np.unique(fixes.source[cartesian]).tolist():
@@ -225,7 +224,11 @@ def _horizontal_sd(fixes: Fixes, sensors: Sensors, said: list[str]) -> FloatArra
 
 
 def _heights(
-    fixes: Fixes, sensors: Sensors, points: dict[int, tuple[float, float, float]], profile: Fixes | None, said: list[str]
+    fixes: Fixes,
+    sensors: Sensors,
+    points: dict[int, tuple[float, float, float]],
+    profile: HeightProfile | None,
+    said: list[str],
 ) -> tuple[FloatArray, FloatArray]:
     """Ellipsoidal heights and their sd (n,) each; NaN where nothing tells."""
     height = fixes.height_m.copy()
@@ -235,26 +238,26 @@ def _heights(
 
     rows = ~np.isfinite(height) & np.isfinite(fixes.pressure_altitude_m) & ~on_ground
     if rows.any():
-        tables = [fixes] if profile is None else [fixes, profile]
+        profile = height_profile(fixes, sensors) if profile is None else profile
         level = fixes.pressure_altitude_m[rows]
-        difference, spread = _pressure_difference(Fixes.concat(tables), level, fixes.time_s[rows])
-        known = np.isfinite(difference)
-        height[rows] = level + np.where(known, difference, 0.0)
-        sd[rows] = np.where(known, spread, 30 + 0.05 * np.abs(level))
-        if known.any():
-            said.append(
-                f"{known.sum():,} reference heights come from pressure altitude and the traffic's own geometric-minus-pressure "
-                f"difference (median {np.median(difference[known]):+.0f} m, sd {np.median(spread[known]):.0f} m)"
+        difference, sd[rows] = profile.at(level, fixes.time_s[rows])
+        height[rows] = level + difference
+        typical = f"(median {np.median(difference):+.0f} m, sd {np.median(sd[rows]):.0f} m)"
+        if profile.source == TRAFFIC:
+            whose = f"the geometric-minus-pressure difference that {profile.targets:,} targets of the traffic tell {typical}"
+        elif profile.source == SENSORS_TOML:
+            whose = f"what [atmosphere] in sensors.toml tells {typical}"
+        else:
+            whose = (
+                "the standard atmosphere, since neither traffic nor [atmosphere] in sensors.toml tells the pressure: "
+                f"sd 30 m + 5 % of the height (median {np.median(sd[rows]):.0f} m)"
             )
-        if not known.all():
-            said.append(
-                f"{(~known).sum():,} reference heights are pressure altitudes in the standard atmosphere, since nothing "
-                f"tells the pressure: sd 30 m + 5 % of the height (median {np.median(30 + 0.05 * np.abs(level[~known])):.0f} m)"
-            )
+        said.append(f"{rows.sum():,} reference heights come from pressure altitude and {whose}")
 
-    surface_site = any(s.kind in ("surface", "marine") for s in sensors)
+    surface_site, by_the_sea = (any(s.kind == kind for s in sensors) for kind in ("surface", "marine"))
     low = ~np.isfinite(height)
-    rows = low & (on_ground | surface_site | (fixes.mmsi >= 0))
+    # Off a coast, what has an aircraft's address and tells no altitude is not therefore a ship.
+    rows = low & (on_ground | surface_site | (by_the_sea & (fixes.mode_s < 0)) | (fixes.mmsi >= 0))
     for key in np.unique(fixes.source[rows]).tolist():
         mine = rows & (fixes.source == key)
         ground, ground_sd, why = _ground_height(key, fixes, sensors, points)
@@ -290,7 +293,7 @@ def _ground_height(
     if np.isfinite(points[key][2]):
         return points[key][2], _GROUND_SD_M, "the height of its reference point (give ground_height_m for a better one)"
     seen = fixes.height_m[((fixes.flags & np.uint32(Flag.GROUND)) != 0) & np.isfinite(fixes.height_m)]
-    if len(seen) >= _MIN_PROFILE:
+    if len(seen) >= _FEW:
         return float(np.median(seen)), 10.0, f"the median height that {len(seen):,} records of targets on the ground carry"
     antennas = [s for s in sensors if s.kind in ("surface", "marine") and s.ellipsoidal_height_m is not None]
     if antennas:
@@ -301,47 +304,6 @@ def _ground_height(
             "(give ground_height_m)",
         )
     return float("nan"), float("nan"), ""
-
-
-def _pressure_difference(table: Fixes, level_m: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Geometric height minus pressure altitude at levels and times (m,), and its sd; NaN where the traffic does not tell.
-
-    Medians over bins of 1,000 m and one hour; between the levels of the nearest hour it is interpolated, beyond the outermost
-    held, with 5 % of the distance to the nearest level added to the sd.
-    """
-    both = np.isfinite(table.height_m) & np.isfinite(table.pressure_altitude_m) & np.isfinite(table.time_s)
-    both &= (table.flags & np.uint32(Flag.GROUND)) == 0
-    none = np.full(len(level_m), np.nan)
-    if both.sum() < _MIN_PROFILE:
-        return none, none
-    at, when = table.pressure_altitude_m[both], table.time_s[both]
-    difference = table.height_m[both] - at
-    hour, bin_ = np.floor(when / _HOUR_S), np.round(at / _LEVEL_M)
-    order = np.lexsort((bin_, hour))
-    edge = np.flatnonzero(np.r_[True, (np.diff(hour[order]) != 0) | (np.diff(bin_[order]) != 0), True])
-    rows: list[tuple[float, float, float, float]] = []
-    for i, j in pairwise(edge):
-        members = order[i:j]
-        if len(members) >= _MIN_PROFILE:
-            middle = float(np.median(difference[members]))
-            spread = 1.4826 * float(np.median(np.abs(difference[members] - middle)))
-            rows.append((float(hour[members[0]]), float(np.median(at[members])), middle, max(spread, 10.0)))
-    if not rows:
-        middle = float(np.median(difference))
-        spread = max(1.4826 * float(np.median(np.abs(difference - middle))), 10.0)
-        rows = [(float(np.median(hour)), float(np.median(at)), middle, spread)]
-    known = np.array(rows)
-    hours = np.unique(known[:, 0])
-    asked = np.floor(np.where(np.isfinite(time_s), time_s, hours[0] * _HOUR_S) / _HOUR_S)
-    nearest = hours[np.argmin(np.abs(asked[:, None] - hours[None, :]), axis=1)] if len(asked) else asked
-    out, sd = none.copy(), none.copy()
-    for value in np.unique(nearest):
-        mine, there = nearest == value, known[known[:, 0] == value]
-        there = there[np.argsort(there[:, 1], kind="stable")]
-        out[mine] = np.interp(level_m[mine], there[:, 1], there[:, 2])
-        away = np.min(np.abs(level_m[mine][:, None] - there[None, :, 1]), axis=1)
-        sd[mine] = np.interp(level_m[mine], there[:, 1], there[:, 3]) + 0.05 * np.maximum(away - _LEVEL_M, 0.0)
-    return out, sd
 
 
 # --------------------------------------------------------------------------------------------------------------- targets

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .association import Association
     from .calibration import Calibration, Input
     from .frozen import Frozen
+    from .heights import HeightProfile
     from .writing.reencode import Original, Reencoded
     from .writing.sidecar import Provenance
 
@@ -55,7 +56,7 @@ class Run:
 
     `targets` names the targets of the pairs (number -> Mode S address, MMSI, callsign or track number), `reference` the files
     that were the reference; `truth` is filled where the scene was simulated, `conformity` where a requirement was given.
-    `frozen` is what the run was made from, for run.json.
+    `frozen` is what the run was made from, for run.json; `heights` is what stood for the height of what tells only pressure.
     """
 
     calibration: Calibration
@@ -66,6 +67,7 @@ class Run:
     truth: Mapping[str, tuple[TruthRow, ...]] = field(default_factory=dict)
     conformity: tuple[Conformity, ...] = ()
     frozen: Frozen | None = None
+    heights: HeightProfile | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +113,7 @@ def calibrate(
     from .assessment.residuals import residuals
     from .association import search
     from .frozen import Settings, freeze
+    from .heights import height_profile
     from .measure import site_warnings
     from .platform import fix_platforms
     from .reading.site import site_disagreements
@@ -151,7 +154,8 @@ def calibrate(
     progress("aligning the reference")
     sources: tuple[Source, ...] = tuple(s for r in trusted for s in r.sources)
     measured, fixes = apply_time_offsets(measured, sensors), apply_time_offsets(fixes, sensors)
-    fixes, said = locate(fixes, sensors, sources)
+    heights = height_profile(fixes, sensors)
+    fixes, said = locate(fixes, sensors, sources, heights=heights)
     warnings += said
     fixes, sensors, said = fix_platforms(measured, fixes, Platform.concat([r.platform for r in radar]), sensors)
     warnings += said
@@ -183,6 +187,7 @@ def calibrate(
         truth=_truth_rows(found, truth or {}),
         conformity=conformity,
         frozen=freeze(plots, reference, settings, found.inputs),
+        heights=heights,
     )
     if out is not None:
         progress("writing the report")

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ._types import FloatArray
 from .errors import InputError, SettingsError
 from .geodesy import E2, SEMI_MAJOR_M, ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, height_and_up, rotate, rotate_back
-from .model import Flag, Plots, Sensor, Sensors
+from .model import Fixes, Flag, Plots, Sensor, Sensors
 
 TWO_PI = 2 * np.pi
 # Azimuth has no derivative over the antenna: closer to the axis than a millimetre its rates are those of a millimetre.
@@ -353,10 +353,13 @@ def plot_positions(plots: Plots, sensors: Sensors, height_m: FloatArray | None =
 
     The first of these that a plot has decides: the `height_m` (n,) given here (ellipsoidal, of the reference or the track); the
     measured elevation; the plot's own height; for targets on the ground (surface and marine radars, ground flag) the sensor's
-    `ground_height_m`, else the antenna's height; the pressure altitude as it stands.  Raises SettingsError as `sites` does.
+    `ground_height_m`, else the antenna's height; the pressure altitude, by what `sensors` tells of the atmosphere.  Raises
+    SettingsError as `sites` does.
     """
     if height_m is not None and np.shape(height_m) != (len(plots),):
         raise InputError(f"height_m has the shape {np.shape(height_m)}, but one height a plot, {(len(plots),)}, is needed")
+    from .heights import height_profile, plot_heights
+
     position, rotation = sites(plots, sensors)
     azimuth = true_azimuth(plots, sensors)
     given = np.full(len(plots), np.nan) if height_m is None else np.asarray(height_m, np.float64)
@@ -367,7 +370,7 @@ def plot_positions(plots: Plots, sensors: Sensors, height_m: FloatArray | None =
             low &= (plots.flags & np.uint32(Flag.GROUND)) != 0
         ground = sensor.ground_height_m if sensor.ground_height_m is not None else sensor.ellipsoidal_height_m or 0.0
         height[low] = ground
-    height = np.where(np.isfinite(height), height, plots.pressure_altitude_m)
+    height = np.where(np.isfinite(height), height, plot_heights(plots, height_profile(Fixes(), sensors))[0])
     out = np.full((len(plots), 3), np.nan)
     by_elevation = ~np.isfinite(given) & np.isfinite(plots.elevation_rad)
     rows = np.flatnonzero(by_elevation)

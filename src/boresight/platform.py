@@ -111,4 +111,4 @@ def fix_platforms(plots: Plots, fixes: Fixes, platform: Platform, sensors: Senso
     if sensor is None:
         return fixes, sensors, ()
     seen, fixed, said = about_platform(fixes, platform, sensor)
-    return seen, Sensors(tuple(fixed if s.key == fixed.key else s for s in sensors)), said
+    return seen, msgspec.structs.replace(sensors, sensor=tuple(fixed if s.key == fixed.key else s for s in sensors)), said
