@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from .._parallel import in_threads, slices
-from .._types import AnyArray, BoolArray, FloatArray, IntArray
-from ..calibration import Calibration, TermKey
+from .._types import AnyArray, FloatArray, IntArray
+from ..calibration import Calibration
 from ..errors import InputError
 from ..geodesy import enu_from_ecef, geodetic_from_ecef, height_and_up, rotate
 from ..measure import (
@@ -31,7 +31,7 @@ from ..measure import (
 )
 from ..model import Channel, Pairs, Sensor, Sensors, _column, _float, _Table
 from ..registration.observe import fill_lengths
-from ..terms import TERMS, Geometry, order_of
+from ..terms import TERMS, Geometry, Whose, late_s, order_of, touches
 
 _LEAST_SPEED_MPS = 1.0
 # Rows that are worked on at a time: large enough for NumPy, small enough for the processor's cache.
@@ -146,12 +146,16 @@ def _residuals(pairs: Pairs, rows: IntArray, sensor: Sensor, calibration: Calibr
     speed = np.hypot(over_ground[:, 0], over_ground[:, 1])
     course = np.where(speed >= _LEAST_SPEED_MPS, np.arctan2(over_ground[:, 0], over_ground[:, 1]) % (2 * np.pi), np.nan)
 
-    values = {k: np.where(_touches(key, channel), np.interp(time, calibration.epoch_s, calibration.value[:, k]), 0.0)
-              for k, key in enumerate(calibration.terms) if key.sensor == sensor.key}  # fmt: skip
-    late = sum((v for k, v in values.items() if calibration.terms[k].name == "time_offset"), np.zeros(len(rows)))
+    whose = Whose(channel, plots.flags[rows], pairs.source[rows])
+    values = [
+        (TERMS[key.name], np.interp(time, calibration.epoch_s, calibration.value[:, k]) * touches(key.channel, whose))
+        for k, key in enumerate(calibration.terms)
+        if key.sensor == sensor.key
+    ]
+    late = late_s([term for term, _ in values], [value for _, value in values], time - calibration.epoch_s[0])
     moved = reference - late[:, None] * velocity + 0.5 * late[:, None] ** 2 * acceleration
     at_stamp = polar_from_enu(rotate(rotation, reference - site))
-    others = [(TERMS[calibration.terms[k].name], v) for k, v in values.items() if calibration.terms[k].name != "time_offset"]
+    others = [(term, value) for term, value in values if not term.is_time]
     at_true, rate, second, third = polar_motion(
         rotate(rotation, moved - site),
         rotate(rotation, velocity - late[:, None] * acceleration),
@@ -161,6 +165,7 @@ def _residuals(pairs: Pairs, rows: IntArray, sensor: Sensor, calibration: Calibr
     place = Geometry(
         at_true[:, 0], at_true[:, 1], at_true[:, 2], rate, second, third,
         heading_about(pairs.heading_rad[rows], reference, rotation), pairs.length_m[rows], time - calibration.epoch_s[0],
+        whose,
     )  # fmt: skip
     corrected = measured.copy()
     for term, value in others:
@@ -199,10 +204,3 @@ def _residuals(pairs: Pairs, rows: IntArray, sensor: Sensor, calibration: Calibr
         "latitude_rad": lat,
         "longitude_rad": lon,
     }
-
-
-def _touches(key: TermKey, channel: AnyArray) -> BoolArray:
-    """Whether the term applies to plots of each channel (n,)."""
-    if key.channel == "all":
-        return np.ones(len(channel), bool)
-    return np.isin(channel, [c.value for c in Channel if c.name.lower() == key.channel.lower()])
