@@ -499,18 +499,19 @@ def trajectories(fixes: Fixes, *, method: str = "smooth", max_gap_s: float | Non
     row = np.flatnonzero(usable)
     position = ecef_from_geodetic(fixes.latitude_rad[row], fixes.longitude_rad[row], fixes.height_m[row])
     sd = np.where(fixes.horizontal_sd_m[row] > 0, fixes.horizontal_sd_m[row], _OTHER_SD_M)
-    lane_key, lane = np.unique(target[row] << 32 | fixes.source[row].astype(np.int64) & 0xFFFFFFFF, return_inverse=True)
-    order = np.lexsort((row, sd, fixes.time_s[row], lane))
-    row, position, sd, lane = row[order], position[order], sd[order], lane[order]
+    lane_key, lane = _lanes(target[row], fixes.source[row])
+    # Rows ascend, and stay so where all else is equal.
+    order = np.lexsort((sd, fixes.time_s[row], lane))
+    row, position, sd, lane = row[order], position.take(order, axis=0), sd[order], lane[order]
     time = fixes.time_s[row]
 
     position, keep = _resolve_equal_stamps(lane, time, position, sd)
     duplicates = int((~keep).sum())
-    row, position, sd, lane, time = row[keep], position[keep], sd[keep], lane[keep], time[keep]
+    row, position, sd, lane, time = _only(keep, row, position, sd, lane, time)
     on_ground = (fixes.flags[row] & np.uint32(Flag.GROUND)) != 0
     keep = _possible(lane, time, position, sd, on_ground)
     jumps = int((~keep).sum())
-    row, position, sd, lane, time = row[keep], position[keep], sd[keep], lane[keep], time[keep]
+    row, position, sd, lane, time = _only(keep, row, position, sd, lane, time)
 
     spikes = 0
     fitted = _unfitted(len(row))
@@ -532,8 +533,8 @@ def trajectories(fixes: Fixes, *, method: str = "smooth", max_gap_s: float | Non
         # Lanes that lose no row keep their fit.
         touched = np.zeros(len(lane_key), bool)
         touched[lane[spike]] = True
-        row, position, sd, lane, time = row[~spike], position[~spike], sd[~spike], lane[~spike], time[~spike]
-        fitted = _Fitted(*(column[~spike] for column in fitted))
+        row, position, sd, lane, time = _only(~spike, row, position, sd, lane, time)
+        fitted = _Fitted(*_only(~spike, *fitted))
         redo = np.flatnonzero(touched[lane])
 
     said: list[str] = []
@@ -576,6 +577,24 @@ def trajectories(fixes: Fixes, *, method: str = "smooth", max_gap_s: float | Non
         spikes=spikes,
         warnings=tuple(said),
     )
+
+
+def _lanes(target: IntArray, source: AnyArray) -> tuple[IntArray, IntArray]:
+    """A key of every pair of target and source that occurs (lanes,), ascending, and the number of each row's (n,)."""
+    sources, index = np.unique(source.astype(np.int64) & 0xFFFFFFFF, return_inverse=True)
+    pair = target * len(sources) + index
+    there = np.bincount(pair, minlength=(int(target.max(initial=-1)) + 1) * len(sources)) > 0
+    which = np.flatnonzero(there)
+    key = which // max(len(sources), 1) << 32 | sources[which % max(len(sources), 1)]
+    return key, (np.cumsum(there) - 1)[pair]
+
+
+def _only(keep: BoolArray, *columns: AnyArray) -> tuple[AnyArray, ...]:
+    """The rows of every column that are kept; the columns themselves where all are."""
+    if keep.all():
+        return columns
+    rows = np.flatnonzero(keep)
+    return tuple(column.take(rows, axis=0) for column in columns)
 
 
 def _resolve_equal_stamps(lane: IntArray, time: FloatArray, position: FloatArray, sd: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -716,68 +735,85 @@ def _fit_all(
     velocities are `worth` is found the first time, and kept.
     """
     k = len(row)
-    rotation = enu_from_ecef(fixes.latitude_rad[row[redo]], fixes.longitude_rad[row[redo]])
-    up = before.up
-    up[redo] = rotation[:, 2]
-    low = np.searchsorted(segment, segment, side="left").astype(np.int64)
-    high = np.searchsorted(segment, segment, side="right").astype(np.int64)
+    starts = np.flatnonzero(np.diff(segment, prepend=-1))
+    low, high = starts[segment], np.append(starts[1:], k)[segment]
     local = time - (time.min() if k else 0.0)
     weight = 1 / sd**2
     no_velocity, no_weight = np.zeros((k, 3)), np.zeros(k)
+    up, flat, tall, scale = before.up, before.flat, before.tall, before.scale
+    vertical = np.where(fixes.vertical_sd_m[row] > 0, fixes.vertical_sd_m[row], sd)
 
     def fit(
-        velocity: FloatArray, velocity_weight: FloatArray, scale: FloatArray, ladder: FloatArray, fewest: IntArray
-    ) -> list[FloatArray]:
-        def piece(part: slice) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-            return _fit(
-                redo[part], local, position, weight, velocity, velocity_weight, up, low, high, scale, ladder, fewest,
-                _AGREEMENT, _MOST_POINTS,
-            )  # fmt: skip
+        rows: IntArray, velocity: FloatArray, velocity_weight: FloatArray, scale: FloatArray, ladder: FloatArray, fewest: IntArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        return _fit(
+            rows, local, position, weight, velocity, velocity_weight, up, low, high, scale, ladder, fewest, _AGREEMENT,
+            _MOST_POINTS,
+        )  # fmt: skip
 
-        parts = in_threads(piece, slices(len(redo), _PIECE))
-        if not parts:
-            return [np.empty((0, 3))] * 3 + [np.empty(0)] * 2
-        return [np.concatenate(column) for column in zip(*parts, strict=True)]
+    def rotation(rows: IntArray) -> FloatArray:
+        return enu_from_ecef(fixes.latitude_rad[row[rows]], fixes.longitude_rad[row[rows]])
 
-    # The noise that neighbours do not share shows in the narrowest windows, whatever a fix says of its accuracy.  A scale of 0
-    # leaves out what is assumed of accelerations, which would hide some of it.
-    vertical = np.where(fixes.vertical_sd_m[row] > 0, fixes.vertical_sd_m[row], sd)
-    found = fit(no_velocity, no_weight, no_weight, np.array(_LADDER_S[1:2]), np.array([5], np.int64))
-    leverage = np.minimum(found[4] * weight[redo], 1.0)
-    free = leverage < 0.95
-    miss = found[0] - position[redo]
-    miss_up = np.einsum("ij,ij->i", miss, up[redo])
-    miss_flat2 = np.maximum(np.einsum("ij,ij->i", miss, miss) - miss_up**2, 0.0)
-    flat, tall = before.flat, before.tall
-    with np.errstate(divide="ignore", invalid="ignore"):
-        flat[redo] = np.where(free, miss_flat2 / (2 * np.log(2) * (1 - leverage) * sd[redo] ** 2), np.nan)
-        tall[redo] = np.where(free, miss_up**2 / (0.4549 * (1 - leverage) * vertical[redo] ** 2), np.nan)
+    # Piece by piece, so that what lies between two steps stays in the processor's cache.
+    pieces = [redo[part] for part in slices(len(redo), _PIECE)]
+
+    def noise(rows: IntArray) -> None:
+        """The noise that neighbours do not share shows in the narrowest windows, whatever a fix says of its accuracy."""
+        up[rows] = rotation(rows)[:, 2]
+        # A scale of 0 leaves out what is assumed of accelerations, which would hide some of it.
+        found = fit(rows, no_velocity, no_weight, no_weight, np.array(_LADDER_S[1:2]), np.array([5], np.int64))
+        leverage = np.minimum(found[4] * weight[rows], 1.0)
+        free = leverage < 0.95
+        miss = found[0] - position[rows]
+        miss_up = np.einsum("ij,ij->i", miss, up[rows])
+        miss_flat2 = np.maximum(np.einsum("ij,ij->i", miss, miss) - miss_up**2, 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            flat[rows] = np.where(free, miss_flat2 / (2 * np.log(2) * (1 - leverage) * sd[rows] ** 2), np.nan)
+            tall[rows] = np.where(free, miss_up**2 / (0.4549 * (1 - leverage) * vertical[rows] ** 2), np.nan)
+
+    in_threads(noise, pieces)
     source = fixes.source[row]
-    scale = before.scale
     scale[redo, 0] = _pooled_scale(lane, lane_start, source, flat)[redo]
     scale[redo, 1] = _pooled_scale(lane, lane_start, source, tall)[redo]
-
     flat_scale = np.ascontiguousarray(scale[:, 0])
     ladder, fewest = np.array(_LADDER_S), np.array(_FEWEST, np.int64)
-    found = fit(no_velocity, no_weight, flat_scale, ladder, fewest)
+    over_ground = np.empty((k, 3))
+
+    def keep(rows: IntArray, found: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]) -> None:
+        before.position[rows], before.velocity[rows], before.acceleration[rows] = found[:3]
+        before.velocity_var[rows] = found[3] * flat_scale[rows]
+        before.shrink[rows] = np.minimum(found[4] * weight[rows], 1.0)
+
+    def positions(rows: IntArray) -> None:
+        found = fit(rows, no_velocity, no_weight, flat_scale, ladder, fewest)
+        keep(rows, found)
+        over_ground[rows] = np.einsum("nij,nj->ni", rotation(rows), found[1])
+
+    in_threads(positions, pieces)
     velocity, velocity_weight = before.reported, before.reported_weight
-    velocity[redo], velocity_weight[redo] = _reported(fixes, row[redo], rotation, found[1], found[3] * flat_scale[redo], worth)
-    if (velocity_weight[redo] > 0).any():
-        # Weights are in units of the assumed position noise, so the reported velocity's is scaled to match.
-        found = fit(velocity, velocity_weight * flat_scale, flat_scale, ladder, fewest)
-    leverage = np.minimum(found[4] * weight[redo], 1.0)
-    miss = position[redo] - found[0]
-    miss -= np.einsum("ij,ij->i", miss, up[redo])[:, None] * up[redo]
-    # Out of its own fit: what the fix misses the fit of its neighbours by, in units of that difference's variance.
-    own = (1 - leverage) * sd[redo] ** 2 * np.maximum(flat_scale[redo], 0.04)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        miss2 = np.where(leverage < 0.95, np.einsum("ij,ij->i", miss, miss) / (2 * own), 0.0)
-    for column, new in zip(
-        (before.position, before.velocity, before.acceleration, before.velocity_var, before.shrink, before.miss2),
-        (found[0], found[1], found[2], found[3] * flat_scale[redo], leverage, miss2),
-        strict=True,
-    ):
-        column[redo] = new
+    reported, velocity_weight[redo] = _reported(fixes, row[redo], over_ground[redo], before.velocity_var[redo], worth)
+    useful = bool((velocity_weight[redo] > 0).any())
+    over_ground[redo] = reported
+
+    def turn(rows: IntArray) -> None:
+        velocity[rows] = rotate_back(rotation(rows), over_ground[rows])
+
+    in_threads(turn, pieces)
+    # Weights are in units of the assumed position noise, so the reported velocity's is scaled to match.
+    scaled = velocity_weight * flat_scale
+
+    def both(rows: IntArray) -> None:
+        if useful:
+            keep(rows, fit(rows, velocity, scaled, flat_scale, ladder, fewest))
+        leverage = before.shrink[rows]
+        miss = position[rows] - before.position[rows]
+        miss -= np.einsum("ij,ij->i", miss, up[rows])[:, None] * up[rows]
+        # Out of its own fit: what the fix misses the fit of its neighbours by, in units of that difference's variance.
+        own = (1 - leverage) * sd[rows] ** 2 * np.maximum(flat_scale[rows], 0.04)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            before.miss2[rows] = np.where(leverage < 0.95, np.einsum("ij,ij->i", miss, miss) / (2 * own), 0.0)
+
+    in_threads(both, pieces)
     return before
 
 
@@ -795,36 +831,35 @@ def _pooled_scale(lane: IntArray, lane_start: IntArray, source: IntArray, ratio:
 
 
 def _reported(
-    fixes: Fixes, row: IntArray, rotation: FloatArray, fitted: FloatArray, fitted_var: FloatArray, worth: dict[int, float]
+    fixes: Fixes, row: IntArray, fitted: FloatArray, fitted_var: FloatArray, worth: dict[int, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Reported velocities (k, 3), ECEF, and weights 1 / variance (k,): 0 where there is none or the source's is not good.
+    """Reported velocities (k, 3), east, north, up, and weights 1 / variance (k,): 0 where there is none or the source's is not
+    good.
 
     What a source's velocities are `worth` (its weight) is measured and noted there, unless it is known: their median distance
-    from the fitted ones, less the fit's own variance.  A missing vertical rate is the fitted one.
+    from the `fitted` ones, less the fit's own variance.  A missing vertical rate is the fitted one.
     """
     east, north, climb = fixes.velocity_east_mps[row], fixes.velocity_north_mps[row], fixes.velocity_up_mps[row]
     there = np.isfinite(east) & np.isfinite(north)
     weight = np.zeros(len(row))
     if not there.any():
         return np.zeros((len(row), 3)), weight
-    local = np.einsum("nij,nj->ni", rotation, fitted)
-    difference2 = (east - local[:, 0]) ** 2 + (north - local[:, 1]) ** 2
+    difference2 = (east - fitted[:, 0]) ** 2 + (north - fitted[:, 1]) ** 2
     source = fixes.source[row]
     for key in np.unique(source[there]).tolist():
         mine = there & (source == key)
         if key not in worth:
             worth[key] = 0.0
             # Parked targets would say that any velocity is perfect.
-            moving = mine & np.isfinite(fitted_var) & (np.hypot(local[:, 0], local[:, 1]) > _COURSE_MPS)
+            moving = mine & np.isfinite(fitted_var) & (np.hypot(fitted[:, 0], fitted[:, 1]) > _COURSE_MPS)
             if moving.sum() >= 20:
                 # The median, since the tails are mostly those of positions (stamps that jitter).  2 ln 2: chi-square of 2 dof.
                 sd2 = float(np.median(difference2[moving])) / (2 * np.log(2)) - float(np.median(fitted_var[moving]))
                 worth[key] = 1 / (_SHARED * max(sd2, 0.15**2)) if sd2 <= _WORTH_MPS**2 else 0.0
         weight[mine & (difference2 <= _WILD_MPS**2)] = worth[key]
-    flat = np.stack(
-        [np.where(there, east, 0.0), np.where(there, north, 0.0), np.where(np.isfinite(climb), climb, local[:, 2])], axis=1
-    )
-    return np.ascontiguousarray(rotate_back(rotation, flat)), weight
+    return np.stack(
+        [np.where(there, east, 0.0), np.where(there, north, 0.0), np.where(np.isfinite(climb), climb, fitted[:, 2])], axis=1
+    ), weight
 
 
 @kernel
@@ -1007,24 +1042,24 @@ def states(trajectories: Trajectories, target: IntArray, time_s: FloatArray) -> 
     time = np.ascontiguousarray(time_s, np.float64)
     if target.shape != time.shape or target.ndim != 1:
         raise InputError(f"target {target.shape} and time_s {time.shape} need one row each a state")
-    t = trajectories
+    t, m = trajectories, len(time)
     if not len(t.time_s):
-        m = len(time)
         nothing, vector = np.full(m, np.nan), np.full((m, 3), np.nan)
         return States(
             vector, vector, vector, np.full((m, 3, 3), np.nan), nothing, nothing, np.zeros(m, bool), np.full(m, -1, np.int32)
         )
 
-    def piece(part: slice) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, BoolArray, IntArray]:
-        return _states(
+    position, velocity, acceleration, covariance = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
+    heading, valid, lane = np.empty(m), np.empty(m, bool), np.empty(m, np.int64)
+
+    def piece(part: slice) -> None:
+        _states(
             target[part], time[part], METHODS.index(t.method), t.time_s, t.position, t.velocity, t.acceleration, t.velocity_var,
             t.up, t.slow_m2, t.white_m2, t.time_sd_s, t.heading_rad, t.segment, t.lane_start, t.update_s, t.first_lane,
+            position[part], velocity[part], acceleration[part], covariance[part], heading[part], valid[part], lane[part],
         )  # fmt: skip
 
-    parts = in_threads(piece, slices(len(time), _PIECE)) if len(time) else [piece(slice(0))]
-    position, velocity, acceleration, covariance, heading, valid, lane = (
-        parts[0] if len(parts) == 1 else (np.concatenate(column) for column in zip(*parts, strict=True))
-    )
+    in_threads(piece, slices(m, _PIECE))
     known = (target >= 0) & (target < t.targets)
     length = np.where(known & valid, t.length_m[np.where(known, target, 0)], np.nan)
     source = np.where(valid, t.source[np.maximum(lane, 0)], np.int32(-1))
@@ -1050,12 +1085,18 @@ def _states(
     lane_start: IntArray,
     update: FloatArray,
     first_lane: IntArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, BoolArray, IntArray]:
-    """Interpolate (see `states`).  `method` is the index in `METHODS`."""
+    p_out: FloatArray,
+    v_out: FloatArray,
+    a_out: FloatArray,
+    c_out: FloatArray,
+    heading: FloatArray,
+    valid: BoolArray,
+    answers: IntArray,
+) -> None:
+    """Interpolate (see `states`) into the last seven arguments.  `method` is the index in `METHODS`."""
     m = len(time)
-    p_out, v_out, a_out = np.full((m, 3), np.nan), np.full((m, 3), np.nan), np.full((m, 3), np.nan)
-    c_out, heading, valid = np.full((m, 3, 3), np.nan), np.full(m, np.nan), np.zeros(m, np.bool_)
-    answers = np.full(m, -1, np.int64)
+    p_out[:], v_out[:], a_out[:], c_out[:], heading[:] = np.nan, np.nan, np.nan, np.nan, np.nan
+    valid[:], answers[:] = False, -1
     p, v, a = np.empty(3), np.empty(3), np.empty(3)
     for q in range(m):
         if target[q] < 0 or target[q] >= len(first_lane) - 1 or not np.isfinite(time[q]):
@@ -1153,4 +1194,3 @@ def _states(
                 east = (-up[near, 1] * v[0] + up[near, 0] * v[1]) / side
                 north = side * v[2] - up[near, 2] * (up[near, 0] * v[0] + up[near, 1] * v[1]) / side
                 heading[q] = np.arctan2(east, north) % (2 * np.pi) if np.hypot(east, north) > _COURSE_MPS else np.nan
-    return p_out, v_out, a_out, c_out, heading, valid, answers

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import alignment, measure
+from .._parallel import in_threads, slices
 from .._types import AnyArray, BoolArray, FloatArray, IntArray
 from ..errors import InputError, NothingToDo
 from ..model import Fixes, Flag, Plots, Sensor
@@ -18,8 +19,10 @@ from .hough import Bias, Candidates, Window, residuals, within
 from .settings import AssociationSettings, Assumed
 
 NO_BIAS = Bias()
-# Plots are compared with the reference in pieces of this many, which bounds the memory.
+# Candidates are made in pieces of this many, which bounds the memory, and compared in smaller ones, which the processor's cache
+# holds.
 _CHUNK = 400_000
+_ROWS = 1 << 15
 # Over this long a target must have moved on average, so that the noise of a reference is not taken for motion.
 _MOTION_S = 5.0
 
@@ -142,10 +145,12 @@ class Scene:
         e = np.empty((10, n))
         out = Compared(e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7], e[8], e[9], np.zeros(n, bool))
         shift = np.broadcast_to(np.asarray(shift_s, np.float64), (n,))
-        for at in range(0, n, _CHUNK):
-            piece = slice(at, at + _CHUNK)
+
+        def compare(piece: slice) -> None:
             for column, value in zip(out, self._compare(row[piece], target[piece], shift[piece], turn_rad, late_s), strict=True):
                 column[piece] = value
+
+        in_threads(compare, slices(n, _ROWS))
         return out
 
     def _compare(self, row: IntArray, target: IntArray, shift_s: FloatArray, turn_rad: float, late_s: float) -> Compared:
