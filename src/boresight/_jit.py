@@ -53,6 +53,17 @@ def cache_folder() -> Path | None:
     return None
 
 
+def inlined(function: _F) -> _F:
+    """Compile `function` into every kernel that calls it: the compiler then knows which arrays cannot overlap.
+
+    For the small kernels of inner loops; from Python it is called as any kernel is.  With ``NUMBA_DISABLE_JIT=1`` the plain
+    Python function runs instead.
+    """
+    import numba
+
+    return cast("_F", numba.njit(nogil=True, inline="always")(function))
+
+
 def kernel(function: _F) -> _F:
     """Compile `function` with Numba on first use (cached, without the GIL, no fastmath), keeping its type for mypy.
 

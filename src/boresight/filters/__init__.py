@@ -1,0 +1,23 @@
+"""Filters: one target's state from the measurements of any number of radars, taken in one by one in the order of time."""
+
+from .imm import ExpectedMode, Imm, Mixed, imm_filter
+from .kalman import Filtered, kalman_filter, one_point, range_rate_start, two_point
+from .motion import ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Motion, Singer, matrices
+
+__all__ = [
+    "ConstantAcceleration",
+    "ConstantVelocity",
+    "CoordinatedTurn",
+    "ExpectedMode",
+    "Filtered",
+    "Imm",
+    "Mixed",
+    "Motion",
+    "Singer",
+    "imm_filter",
+    "kalman_filter",
+    "matrices",
+    "one_point",
+    "range_rate_start",
+    "two_point",
+]
