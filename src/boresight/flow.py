@@ -11,7 +11,7 @@ import contextlib
 import datetime
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,13 +20,14 @@ from .errors import InputError, NothingToDo, SettingsError
 from .model import Fixes, Platform, Plots, Recording, Sensors, Source, load_sensors
 
 if TYPE_CHECKING:
-    from ._types import IntArray
+    from ._types import AnyArray, IntArray
     from .assessment.requirement import Conformity, Requirement
     from .assessment.residuals import Residuals
     from .association import Association
     from .calibration import Calibration, Input
     from .frozen import Frozen
     from .heights import HeightProfile
+    from .report import Evidence
     from .writing.reencode import Original, Reencoded
     from .writing.sidecar import Provenance
 
@@ -56,6 +57,7 @@ class Run:
 
     `targets` names the targets of the pairs (number -> Mode S address, MMSI, callsign or track number), `reference` the files
     that were the reference; `truth` is filled where the scene was simulated, `conformity` where a requirement was given.
+    `evidence` is what the recordings tell besides the pairs: clocks, PSR - SSR, the path of a moving radar.
     `frozen` is what the run was made from, for run.json; `heights` is what stood for the height of what tells only pressure.
     """
 
@@ -66,6 +68,7 @@ class Run:
     reference: tuple[str, ...] = ()
     truth: Mapping[str, tuple[TruthRow, ...]] = field(default_factory=dict)
     conformity: tuple[Conformity, ...] = ()
+    evidence: Evidence | None = None
     frozen: Frozen | None = None
     heights: HeightProfile | None = None
 
@@ -118,6 +121,7 @@ def calibrate(
     from .platform import fix_platforms
     from .reading.site import site_disagreements
     from .registration import register
+    from .report import gather
     from .terms import terms_of
     from .writing.sidecar import corrected_before
 
@@ -153,6 +157,7 @@ def calibrate(
         )
     progress("aligning the reference")
     sources: tuple[Source, ...] = tuple(s for r in trusted for s in r.sources)
+    evidence = gather(measured, radar, sensors) if out is not None else None
     measured, fixes = apply_time_offsets(measured, sensors), apply_time_offsets(fixes, sensors)
     heights = height_profile(fixes, sensors)
     fixes, said = locate(fixes, sensors, sources, heights=heights)
@@ -185,9 +190,10 @@ def calibrate(
         targets=_target_names(fixes, association.pairs.target),
         reference=tuple(str(file) for path in reference for file in _files_of(path)),
         truth=_truth_rows(found, truth or {}),
+        evidence=evidence,
+        heights=heights,
         conformity=conformity,
         frozen=freeze(plots, reference, settings, found.inputs),
-        heights=heights,
     )
     if out is not None:
         progress("writing the report")
@@ -222,6 +228,8 @@ def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> 
                 association=run.association,
                 targets=run.targets,
                 reference=run.reference,
+                evidence=run.evidence,
+                conformity=run.conformity,
             )
             if run.frozen is not None:
                 save_frozen(run.frozen, beside, out)
@@ -245,7 +253,7 @@ def _write_data(run: Run, folder: Path) -> None:
     from .writing.tables import write_table
 
     save_calibration(run.calibration, folder / "calibration.json")
-    write_table(folder / "residuals.parquet", run.residuals)
+    write_table(folder / "residuals.parquet", _with_names(run))
     if run.conformity:
         save_conformity(run.conformity, folder / "conformity.json")
 
@@ -541,6 +549,20 @@ def _others(recordings: Sequence[Recording], plots: Plots, warnings: list[str]) 
     return Fixes.concat(kept)
 
 
+def _with_names(run: Run) -> dict[str, AnyArray]:
+    """The residuals by column, with what each target is called after its number."""
+    import numpy as np
+
+    columns: dict[str, AnyArray] = {}
+    for f in fields(run.residuals):
+        columns[f.name] = getattr(run.residuals, f.name)
+        if f.name == "target":
+            numbers, which = np.unique(columns["target"], return_inverse=True)
+            names = np.array([run.targets.get(int(number)) for number in numbers], object)
+            columns["target_name"] = names[which] if len(names) else np.empty(0, object)
+    return columns
+
+
 def _target_names(fixes: Fixes, used: IntArray) -> dict[int, str]:
     """What the reference calls the targets that were paired."""
     import numpy as np
@@ -583,7 +605,7 @@ def _input(path: str | Path) -> Input:
 
 def _truth_rows(found: Calibration, truth: Mapping[str, Mapping[str, float]]) -> dict[str, tuple[TruthRow, ...]]:
     """True and found values of every simulated term, in the terms' units."""
-    from .terms import TERMS
+    from .terms import term_of
 
     names = {s.sensor: s.name for s in found.sensors}
     rows: dict[str, tuple[TruthRow, ...]] = {}
@@ -591,11 +613,11 @@ def _truth_rows(found: Calibration, truth: Mapping[str, Mapping[str, float]]) ->
         filled = []
         for term, true in terms.items():
             value = sd = float("nan")
+            kind = term_of(term)
             for k, key in enumerate(found.terms):
-                if names[key.sensor] == sensor and key.name == term:
-                    scale = TERMS[term].si_per_unit
-                    value, sd = float(found.value[0, k] / scale), float(found.sd[0, k] / scale)
-            filled.append(TruthRow(term, true, value, sd, TERMS[term].unit))
+                if (names[key.sensor], key.channel, key.name) == (sensor, kind.channel, kind.base):
+                    value, sd = float(found.value[0, k] / kind.si_per_unit), float(found.sd[0, k] / kind.si_per_unit)
+            filled.append(TruthRow(term, true, value, sd, kind.unit))
         rows[sensor] = tuple(filled)
     return rows
 

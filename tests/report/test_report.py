@@ -20,7 +20,8 @@ from boresight.calibration import Calibration
 from boresight.errors import InputError
 from boresight.model import Sensors
 from boresight.report import write_report
-from boresight.report.figures import _size, binned, group_quantiles, quantities, robust_sd
+from boresight.report.drawing import binned, group_quantiles, length_text, robust_sd
+from boresight.report.figures import quantities
 from boresight.report.page import decimals, number, render, rows_of, verdict
 from boresight.terms import TERMS
 from conftest import Scene
@@ -149,7 +150,7 @@ def test_what_files_and_warnings_say_is_not_taken_for_markup(build: Callable[...
     evil = '"><script>alert(1)</script><img src=x onerror=alert(2)>'
     s = build(aircraft=3, plots_each=10, radars=(evil,), files=(evil, f"{evil}&amp;"), warnings=(evil,))
     s = replace(s, calibration=replace_calibration(s.calibration, settings={evil: [evil]}))
-    text = render(s.calibration, s.residuals, s.sensors, title=evil, warnings=[evil + "2"], clock={evil: evil})
+    text = render(s.calibration, s.residuals, s.sensors, title=evil, warnings=[evil + "2"])
     parsed = Page(text)
     assert "script" not in parsed.tags
     assert "img" not in parsed.tags
@@ -276,7 +277,7 @@ def test_who_is_handed_the_report_finds_targets_files_and_sensors(scene: Scene) 
     [(18_133.0, "18 km"), (1_240.0, "1.2 km"), (996.0, "1 km"), (140.2, "140 m"), (9.04, "9 m"), (0.31, "0.31 m")],
 )
 def test_lengths_in_captions(metres: float, text: str) -> None:
-    assert _size(metres) == text
+    assert length_text(metres) == text
 
 
 def test_every_setting_of_the_estimate_is_explained() -> None:

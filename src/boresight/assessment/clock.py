@@ -102,7 +102,13 @@ def audit(recording: Recording, sensors: Sensors | None = None) -> ClockAudit:
 
     Raises NothingToDo where the recording has neither plots nor marks with times, nor times of reception.
     """
+    return examine(recording, sensors)[0]
+
+
+def examine(recording: Recording, sensors: Sensors | None = None) -> tuple[ClockAudit, tuple[Turning, ...]]:
+    """`audit`, and the samples of each turning antenna that it was made from."""
     rotations: list[Rotation] = []
+    turning: list[Turning] = []
     remarks: list[str] = []
     ids = np.unique(np.concatenate([recording.plots.sensor, recording.marks.sensor])).tolist()
     for sensor in ids:
@@ -114,6 +120,7 @@ def audit(recording: Recording, sensors: Sensors | None = None) -> ClockAudit:
             remarks.append(f"{name}: {few if count < _LEAST else 'no even rotation is found in its azimuths and times'}")
             continue
         rotations.append(found[0])
+        turning.append(found[1])
         remarks += _say(found[0], name, None if sensors is None else getattr(sensors.find(sensor), "scan_s", None))
     receptions = _receptions(recording)
     for one in receptions:
@@ -123,7 +130,7 @@ def audit(recording: Recording, sensors: Sensors | None = None) -> ClockAudit:
             f"{recording.path}: there is nothing to tell of its clocks: no plots, marks or times of reception",
             remedy="Give a radar's recording, or a packet capture.",
         )
-    return ClockAudit(tuple(rotations), tuple(receptions), tuple(remarks))
+    return ClockAudit(tuple(rotations), tuple(receptions), tuple(remarks)), tuple(turning)
 
 
 def _name(sensor: int, sensors: Sensors | None) -> str:

@@ -1,3 +1,5 @@
-"""The report of a calibration: one HTML file that needs nothing else."""
+"""The report of a calibration, and the comparison of two: HTML files that need nothing else."""
 
+from .evidence import Evidence as Evidence
+from .evidence import gather as gather
 from .page import write_report as write_report

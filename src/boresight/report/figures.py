@@ -1,24 +1,57 @@
-"""The report's figures: residuals before and after correction, as SVG to stand inside a page.
+"""The figures of the residuals: what plots are off by, before and after correction, as SVG to stand inside a page.
 
 Every function draws one figure from residuals of one sensor and returns a `Drawing`, or None where there is nothing to draw (no
 axis is ever empty).  Medians are computed from all the pairs given (of more than `MAX_PAIRS` a page gives a fixed random choice,
-and says so); the points behind them are a fixed random choice of `MAX_POINTS`, drawn as pixels, so that a page stays small.  The
-same residuals give the same bytes.
+and says so); the points behind them are a fixed random choice of `MAX_POINTS`, drawn as pixels, so that a page stays small.
 """
 
 from __future__ import annotations
 
-import base64
-import io
-import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from .._types import AnyArray, BoolArray, FloatArray, IntArray
+from .drawing import (
+    AFTER,
+    AFTER_LIGHT,
+    BEFORE,
+    BEFORE_LIGHT,
+    DASHED,
+    DEG,
+    INK,
+    MAX_POINTS,
+    MAX_TRACKS,
+    QUIET,
+    TRACK,
+    WIDTH_IN,
+    Drawing,
+    axes_grid,
+    azimuth_edges,
+    band,
+    binned,
+    count_text,
+    degree_text,
+    degree_ticks,
+    dot,
+    edges_of,
+    group_quantiles,
+    legend,
+    length_text,
+    limits_of,
+    line,
+    outside_of,
+    points,
+    robust_sd,
+    round_number,
+    sample,
+    style,
+    targets_text,
+    term_label,
+    time_axis,
+    to_svg,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,31 +59,7 @@ if TYPE_CHECKING:
 
     from ..assessment.residuals import Residuals
     from ..calibration import Calibration
-
-MAX_POINTS = 4000
-MAX_PAIRS = 250_000
-MAX_TRACKS = 300
-WIDTH_IN = 9.6
-DEG = np.pi / 180.0
-
-# Orange and blue stay apart for every kind of colour blindness; the dark shades carry lines, the light ones points.
-BEFORE, BEFORE_LIGHT = "#bf4f00", "#ef8e3b"
-AFTER, AFTER_LIGHT = "#0b559f", "#4a98d9"
-INK, QUIET, RULE = "#1c2126", "#6b737c", "#d9dde1"
-_NORMAL_SD_PER_MAD = 1.4826
-_BARE = re.compile(r"<metadata>.*?</metadata>\s*", re.DOTALL)
-_PNG = re.compile(r"data:image/png;base64,\s*([A-Za-z0-9+/=\s]+)")
-_FONT = re.compile(r"'DejaVu Sans'(?:, [^;\"]*)?(?=[;\"])")
-
-
-@dataclass(frozen=True, slots=True)
-class Drawing:
-    """One figure: its name (an anchor), the SVG element, a caption, and what a reader who cannot see it is told."""
-
-    name: str
-    svg: str
-    caption: str
-    alt: str
+    from ..model import Sensor
 
 
 class Quantity(NamedTuple):
@@ -84,266 +93,6 @@ def _known(*quantity: Quantity) -> tuple[Quantity, ...]:
     return tuple(q for q in quantity if np.isfinite(q.before).any() and np.isfinite(q.after).any())
 
 
-def robust_sd(values: FloatArray) -> float:
-    """1.4826 times the median absolute deviation: one sigma where the errors are normal; NaN for fewer than two values."""
-    known = values[np.isfinite(values)]
-    return float(_NORMAL_SD_PER_MAD * np.median(np.abs(known - np.median(known)))) if len(known) > 1 else float("nan")
-
-
-class Bins(NamedTuple):
-    """Medians and the middle 68 % of each bin's values; NaN in bins of too few values, so that lines break there."""
-
-    centre: FloatArray
-    median: FloatArray
-    low: FloatArray
-    high: FloatArray
-    number: IntArray
-
-
-def group_quantiles(values: FloatArray, group: IntArray, groups: int, shares: Sequence[float]) -> tuple[FloatArray, IntArray]:
-    """Quantiles of the `values` (n,) of each of so many groups, linearly interpolated as NumPy does, and the numbers of values.
-
-    `group` (n,) counts from 0.  Gives (shares, groups), NaN for a group without values, and (groups,).  NaN values do not count.
-    """
-    known = np.isfinite(values)
-    values, group = values[known], group[known].astype(np.int16 if groups < 1 << 15 else np.int32)
-    by_value = np.argsort(values)
-    order = by_value[np.argsort(group[by_value], kind="stable")]
-    values, bounds = values[order], np.searchsorted(group[order], np.arange(groups + 1))
-    number = np.diff(bounds)
-    out = np.full((len(shares), groups), np.nan)
-    filled = number > 0
-    for k, share in enumerate(shares):
-        place = share * (number[filled] - 1)
-        low = np.floor(place).astype(np.int64)
-        first, second = bounds[:-1][filled] + low, bounds[:-1][filled] + np.minimum(low + 1, number[filled] - 1)
-        out[k, filled] = values[first] + (place - low) * (values[second] - values[first])
-    return out, number
-
-
-def binned(x: FloatArray, y: FloatArray, edges: FloatArray, least: int = 8) -> Bins:
-    """Medians and 16 % and 84 % points of `y` over bins of `x`; `centre` is the median `x` of a bin."""
-    known = np.isfinite(x) & np.isfinite(y)
-    x, y = x[known], y[known]
-    which = np.clip(np.searchsorted(edges, x, "right") - 1, 0, len(edges) - 2)
-    (low, middle, high), number = group_quantiles(y, which, len(edges) - 1, (0.16, 0.5, 0.84))
-    (centre,), _ = group_quantiles(x, which, len(edges) - 1, (0.5,))
-    thin = number < least
-    for column in (centre, middle, low, high):
-        column[thin] = np.nan
-    return Bins(centre, middle, low, high, number)
-
-
-def _edges(x: FloatArray, bins: int) -> FloatArray:
-    """Bin edges that hold about equally many values, so that thin ends of an axis do not get wild medians."""
-    known = x[np.isfinite(x)]
-    if not len(known):
-        return np.array([0.0, 1.0])
-    bins = max(1, min(bins, len(known) // 24))
-    edges: FloatArray = np.unique(np.quantile(known, np.linspace(0, 1, bins + 1)))
-    return edges if len(edges) > 1 else np.array([edges[0] - 0.5, edges[0] + 0.5])
-
-
-def azimuth_edges(n: int) -> FloatArray:
-    """Bins of 10° around the compass, or 30° where plots are few (degrees)."""
-    edges: FloatArray = np.arange(0.0, 361.0, 10.0 if n >= 1000 else 30.0)
-    return edges
-
-
-# ---------------------------------------------------------------------------------------------------------------- drawing
-
-
-@contextmanager
-def _style(name: str) -> Iterator[None]:
-    import matplotlib
-
-    settings: dict[str, Any] = {
-        "svg.fonttype": "none",
-        "svg.hashsalt": name,
-        "font.family": ["DejaVu Sans"],
-        "font.size": 8.0,
-        "axes.titlesize": 8.5,
-        "axes.titleweight": "bold",
-        "axes.titlelocation": "left",
-        "axes.titlepad": 5.0,
-        "axes.labelsize": 8.0,
-        "axes.labelcolor": INK,
-        "axes.edgecolor": "#9aa2aa",
-        "axes.linewidth": 0.7,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.grid": True,
-        "axes.axisbelow": True,
-        "axes.unicode_minus": True,
-        "axes.formatter.useoffset": False,
-        "grid.color": "#e8ebee",
-        "grid.linewidth": 0.6,
-        "text.color": INK,
-        "xtick.color": QUIET,
-        "ytick.color": QUIET,
-        "xtick.labelsize": 7.5,
-        "ytick.labelsize": 7.5,
-        "xtick.major.size": 3.0,
-        "ytick.major.size": 3.0,
-        "xtick.major.width": 0.7,
-        "ytick.major.width": 0.7,
-        "legend.frameon": False,
-        "legend.fontsize": 7.5,
-        "legend.handlelength": 1.6,
-        "lines.solid_capstyle": "round",
-        "image.composite_image": True,
-    }
-    with matplotlib.rc_context(settings):  # type: ignore[arg-type]
-        yield
-
-
-def _panels(
-    rows: int,
-    columns: int,
-    height_in: float,
-    *,
-    left: float = 0.72,
-    right: float = 0.12,
-    top: float = 0.5,
-    bottom: float = 0.5,
-    gap: tuple[float, float] = (0.62, 0.45),
-) -> tuple[Figure, list[list[Axes]]]:
-    """A figure of the page's width with a grid of axes, all margins in inches."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(WIDTH_IN, height_in), facecolor="white")
-    wide = (WIDTH_IN - left - right - gap[0] * (columns - 1)) / columns
-    high = (height_in - top - bottom - gap[1] * (rows - 1)) / rows
-    axes = []
-    for i in range(rows):
-        row = []
-        for j in range(columns):
-            y = height_in - top - (i + 1) * high - i * gap[1]
-            x = left + j * (wide + gap[0])
-            row.append(figure.add_axes((x / WIDTH_IN, y / height_in, wide / WIDTH_IN, high / height_in)))
-        axes.append(row)
-    return figure, axes
-
-
-def _svg(figure: Figure, name: str) -> str:
-    """The figure as an SVG element whose ids begin with `name`, so that many can stand in one page."""
-    out = io.StringIO()
-    figure.savefig(out, format="svg", dpi=150, metadata={"Date": None, "Creator": None})
-    text = _PNG.sub(_smaller, _BARE.sub("", out.getvalue()))
-    text = text[text.index("<svg") :]
-    text = re.sub(r'\bid="', f'id="{name}-', text)
-    text = re.sub(r'href="#', f'href="#{name}-', text)
-    text = text.replace("url(#", f"url(#{name}-")
-    # The page's own typeface is narrower than the one that laid the figure out: nothing can overlap.
-    text = _FONT.sub("sans-serif", text)
-    return re.sub(r'(<svg[^>]*?) width="[^"]*pt"', r"\1", re.sub(r'(<svg[^>]*?) height="[^"]*pt"', r"\1", text, count=1), count=1)
-
-
-def _smaller(match: re.Match[str]) -> str:
-    """An embedded picture in 48 colours: clouds of points lose nothing to the eye and take a third of the room."""
-    from PIL import Image
-
-    with Image.open(io.BytesIO(base64.b64decode(match[1]))) as picture:
-        few = picture.convert("RGBA").quantize(48, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-        out = io.BytesIO()
-        few.save(out, "PNG", compress_level=7)
-    return (
-        f"data:image/png;base64,{base64.b64encode(out.getvalue()).decode()}"
-        if len(out.getvalue()) < 0.75 * len(match[1])
-        else match[0]
-    )
-
-
-def sample(n: int, most: int = MAX_POINTS) -> IntArray:
-    """At most `most` of `n` rows, spread over all of them; always the same ones."""
-    if n <= most:
-        return np.arange(n)
-    return np.sort(np.random.default_rng(20160510).choice(n, most, replace=False))
-
-
-def _points(axes: Axes, x: FloatArray, y: FloatArray, colour: str, *, size: float) -> None:
-    axes.plot(
-        x, y, linestyle="none", marker="o", markersize=size, markeredgewidth=0, color=colour,
-        alpha=float(np.clip(18 / np.sqrt(max(len(x), 1)), 0.15, 0.85)), rasterized=len(x) > 400, zorder=2,
-    )  # fmt: skip
-
-
-def _limits(*values: FloatArray, share: float = 0.4) -> tuple[float, float]:
-    """Limits that hold all but `share` percent of the values at each end, and zero."""
-    known = np.concatenate([v[np.isfinite(v)] for v in values])
-    if not len(known):
-        return -1.0, 1.0
-    low, high = np.percentile(known, (share, 100 - share)) if len(known) > 200 else (known.min(), known.max())
-    low, high = min(float(low), 0.0), max(float(high), 0.0)
-    margin = 0.06 * (high - low) or 1.0
-    return low - margin, high + margin
-
-
-def _outside(limits: tuple[float, float], *values: FloatArray) -> int:
-    return int(sum(np.count_nonzero((v < limits[0]) | (v > limits[1])) for v in values))
-
-
-def _time_axis(axes: Axes, time_s: FloatArray) -> str:
-    """Ticks at round times of day; returns the label."""
-    from datetime import UTC, datetime
-
-    from matplotlib.ticker import FixedLocator, FuncFormatter
-
-    first, last = float(np.nanmin(time_s)), float(np.nanmax(time_s))
-    span = max(last - first, 1.0)
-    step = next(
-        (s for s in (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 10800, 21600, 43200) if span / s <= 5), 86400
-    )
-    step = step if span / step <= 8 else int(np.ceil(span / 5 / 86400)) * 86400
-    ticks = np.arange(np.ceil(first / step), np.floor(last / step) + 1) * step
-    shape = "%H:%M:%S" if step < 60 else "%H:%M" if step < 86400 else "%d %b"
-
-    def say(value: float, _: object) -> str:
-        return datetime.fromtimestamp(value, UTC).strftime(shape)
-
-    if not len(ticks):
-        ticks = np.array([first])
-        shape = "%H:%M:%S"
-    axes.xaxis.set_major_locator(FixedLocator(ticks.tolist()))
-    axes.xaxis.set_major_formatter(FuncFormatter(say))
-    margin = 0.03 * span
-    axes.set_xlim(first - margin, last + margin)
-    day, end = datetime.fromtimestamp(first, UTC), datetime.fromtimestamp(last, UTC)
-    if first < 86400:
-        return "time of day (UTC)"
-    return f"time (UTC, {day:%Y-%m-%d})" if day.date() == end.date() else f"time (UTC, {day:%Y-%m-%d} to {end:%m-%d})"
-
-
-def _legend(figure: Figure, entries: Sequence[tuple[Any, str]], *, y_in: float = 0.08) -> None:
-    """One line of legend along the figure's top edge."""
-    figure.legend(
-        [handle for handle, _ in entries], [text for _, text in entries], loc="upper left", ncols=len(entries),
-        bbox_to_anchor=(0.06, 1 - y_in / figure.get_figheight()), borderaxespad=0, columnspacing=1.8, handletextpad=0.6,
-    )  # fmt: skip
-
-
-def _dot(colour: str) -> Any:
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], linestyle="none", marker="o", markersize=4, markeredgewidth=0, color=colour)
-
-
-def _line(colour: str, width: float = 1.6, style: Any = "-") -> Any:
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], color=colour, linewidth=width, linestyle=style)
-
-
-def _band(colour: str) -> Any:
-    from matplotlib.patches import Patch
-
-    return Patch(facecolor=colour, alpha=0.3, linewidth=0)
-
-
-def _targets(n: int) -> str:
-    return f"{_count(n)} {'target' if n == 1 else 'targets'}"
-
-
 def _median_error(distance_m: FloatArray) -> str:
     known = distance_m[np.isfinite(distance_m)]
     if not len(known):
@@ -352,13 +101,9 @@ def _median_error(distance_m: FloatArray) -> str:
     return f": median error {middle:.{0 if middle >= 100 else 1}f} m"
 
 
-def _count(n: int) -> str:
-    return f"{n:,}".replace(",", "\u202f")
-
-
 def _sampled(n: int) -> str:
     return (
-        f" The points are a random choice of {_count(MAX_POINTS)} of {_count(n)} plots; medians use all of these."
+        f" The points are a random choice of {count_text(MAX_POINTS)} of {count_text(n)} plots; medians use all of these."
         if n > MAX_POINTS
         else ""
     )
@@ -392,14 +137,40 @@ def _paths(r: Residuals, rows: BoolArray, x: FloatArray, y: FloatArray) -> tuple
     return np.insert(x[order], cut, np.nan), np.insert(y[order], cut, np.nan)
 
 
-def _round_number(value: float) -> float:
-    """The nearest 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(np.log(m * power / value))) * power)
+def _degrees(axes: Axes, sensor: Sensor, *, right: bool) -> None:
+    """Latitude and longitude along the right and the top of a map in km about the sensor."""
+    from matplotlib.ticker import FixedFormatter, FixedLocator
+
+    from ..geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate_back
+
+    if sensor.lat_deg is None or sensor.lon_deg is None:
+        return
+    lat, lon = sensor.lat_deg * DEG, sensor.lon_deg * DEG
+    x_lim, y_lim = axes.get_xlim(), axes.get_ylim()
+    along = np.linspace(0.0, 1.0, 65)
+    across, up = axes.secondary_xaxis("top"), axes.secondary_yaxis("right")
+    for axis, x, y, column, words, shown in (
+        (across.xaxis, x_lim[0] + along * (x_lim[1] - x_lim[0]), np.full(65, y_lim[1]), 1, "EW", True),
+        (up.yaxis, np.full(65, x_lim[1]), y_lim[0] + along * (y_lim[1] - y_lim[0]), 0, "NS", right),
+    ):
+        edge = np.stack([1e3 * x, 1e3 * y, np.zeros(65)], axis=1)
+        degrees = geodetic_from_ecef(ecef_from_geodetic(lat, lon, 0.0) + rotate_back(enu_from_ecef(lat, lon), edge))[column]
+        if not (np.diff(degrees) > 0).all():
+            continue
+        ticks, step = degree_ticks(float(degrees[0]), float(degrees[-1]), 4)
+        axis.set_major_locator(FixedLocator(np.interp(ticks, degrees, x if column else y).tolist()))
+        axis.set_major_formatter(FixedFormatter([degree_text(float(v), step, words) if shown else "" for v in ticks]))
+        axis.set_tick_params(labelsize=6.5, length=3, pad=1.5)
+    for side in (across, up):
+        for spine in side.spines.values():
+            spine.set_visible(False)
 
 
-def map_figure(r: Residuals, name: str) -> Drawing | None:
-    """Reference tracks about the radar, with the typical error of each map cell as a magnified arrow, before and after."""
+def map_figure(r: Residuals, name: str, *, sensor: Sensor | None = None) -> Drawing | None:
+    """Reference tracks about the radar, with the typical error of each map cell as a magnified arrow, before and after.
+
+    `sensor` tells where the radar stands, for latitude and longitude along the edges.
+    """
     from matplotlib.patches import Rectangle
 
     x, y = ground(r)
@@ -426,27 +197,28 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
         return None
     length = np.hypot(arrow[:, 2], arrow[:, 3])
     typical = max(float(np.percentile(length, 75)), 1e-3)
-    magnify = _round_number(1.5 * cell / typical)
+    magnify = round_number(1.5 * cell / typical)
     if magnify < 2:
         magnify = 1.0
 
-    per_in = extent[0] / ((WIDTH_IN - 0.72 - 0.12 - 0.62) / 2)
+    margin = 0.62 if sensor is not None else 0.12
+    per_in = extent[0] / ((WIDTH_IN - 0.72 - margin - 0.62) / 2)
     height = float(np.clip(extent[1] / per_in, 2.2, 6.5))
     if extent[1] / per_in > height:  # tall areas: keep the scale equal on both axes by widening the map
         extent[0] *= extent[1] / per_in / height
         low[0], high[0] = centre[0] - extent[0] / 2, centre[0] + extent[0] / 2
-    with _style(name):
-        figure, ((left, right),) = _panels(1, 2, height + 0.95, top=0.5, bottom=0.45)
+    with style(name):
+        figure, ((left, right),) = axes_grid(1, 2, height + 1.1, right=margin, top=0.65, bottom=0.45)
         names, which = np.unique(r.track[good] * 1_000_003 + r.target[good], return_inverse=True)
         drawn = np.zeros(len(r), np.bool_)
         drawn[good] = np.isin(which, sample(len(names), MAX_TRACKS))
         line_x, line_y = _paths(r, drawn, x, y)
-        key = _round_number(typical)
+        key = round_number(typical)
         for axes, title, colour, east, north in (
             (left, f"Before correction{_median_error(r.distance_before_m)}", BEFORE, arrow[:, 2], arrow[:, 3]),
             (right, f"After correction{_median_error(r.distance_after_m)}", AFTER, arrow[:, 4], arrow[:, 5]),
         ):
-            axes.plot(line_x / 1e3, line_y / 1e3, color="#b9bfc6", linewidth=0.6, rasterized=len(line_x) > 1500, zorder=1)
+            axes.plot(line_x / 1e3, line_y / 1e3, color=TRACK, linewidth=0.6, rasterized=len(line_x) > 1500, zorder=1)
             axes.quiver(
                 arrow[:, 0] / 1e3, arrow[:, 1] / 1e3, east / 1e3 * magnify, north / 1e3 * magnify, color=colour, angles="xy",
                 scale_units="xy", scale=1.0, width=0.0028, headwidth=3.6, headlength=4.2, headaxislength=3.8, minlength=0.6,
@@ -466,7 +238,7 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
             axes.set_xlim(low[0] / 1e3, high[0] / 1e3)
             axes.set_ylim(low[1] / 1e3, high[1] / 1e3)
             axes.set_aspect("equal", adjustable="box")
-            axes.set_title(title, color=colour)
+            axes.set_title(title, color=colour, pad=14.0 if sensor is not None else None)
             axes.set_xlabel("east of the radar (km)")
             end = (low[0] + 0.04 * extent[0]) / 1e3, (high[1] - 0.05 * extent[1]) / 1e3
             long = key * magnify / 1e3
@@ -478,31 +250,34 @@ def map_figure(r: Residuals, name: str) -> Drawing | None:
             )  # fmt: skip
             axes.plot([end[0], end[0] + long], [end[1], end[1]], color=INK, linewidth=1.6, solid_capstyle="butt", zorder=4)
             axes.text(end[0] + long + 0.012 * extent[0] / 1e3, end[1], f"error of {key:g} m", va="center", fontsize=7.5, zorder=4)
+            if sensor is not None:
+                _degrees(axes, sensor, right=axes is right)
         left.set_ylabel("north of the radar (km)")
-        marker = _dot(INK)
+        marker = dot(INK)
         marker.set_marker("^")
         marker.set_markersize(6)
-        _legend(
+        legend(
             figure,
             [
                 (marker, "radar"),
-                (_line("#b9bfc6", 1.2), "reference tracks"),
-                (_line(BEFORE, 2.0), "typical error before"),
-                (_line(AFTER, 2.0), "typical error after"),
+                (line(TRACK, 1.2), "reference tracks"),
+                (line(BEFORE, 2.0), "typical error before"),
+                (line(AFTER, 2.0), "typical error after"),
             ],
         )
-        svg = _svg(figure, name)
+        svg = to_svg(figure, name)
     few = f"cells with fewer than {least} plots have none. " if least > 1 else ""
     scale = f"lengthened {magnify:g} times" if magnify > 1 else "at the map's scale"
     caption = (
         f"Where the plots lie against the reference. Each arrow leads from the reference to the median position "
         "of the radar's plots in "
-        f"a map cell of {_size(cell)}, {scale}, the same in both panels; {few}"
-        f"What is left after correction should be short and point in no common direction. {_count(n)} plots."
+        f"a map cell of {length_text(cell)}, {scale}, the same in both panels; {few}"
+        f"What is left after correction should be short and point in no common direction. {count_text(n)} plots."
     )
     if len(names) > MAX_TRACKS:
         caption += (
-            f" Grey lines show a random choice of {_count(MAX_TRACKS)} of the {_count(len(names))} tracks; the arrows use all."
+            f" Grey lines show a random choice of {count_text(MAX_TRACKS)} of the {count_text(len(names))} tracks; the arrows "
+            "use all."
         )
     return Drawing(name, svg, caption, "Two maps of error arrows, before and after correction")
 
@@ -544,9 +319,9 @@ def zoom_figure(r: Residuals, name: str, *, targets: Mapping[int, str] | None = 
     parts = [p for p in np.array_split(np.argsort(far, kind="stable"), min(3, len(windows))) if len(p)]
     chosen = [min((windows[k] for k in part), key=lambda w: abs(w[0] - 12)) for part in parts]
 
-    with _style(name):
+    with style(name):
         high = (WIDTH_IN - 0.72 - 0.12 - 2 * 0.62) / 3
-        figure, (row,) = _panels(1, 3, high + 1.05, top=0.58, bottom=0.47)
+        figure, (row,) = axes_grid(1, 3, high + 1.05, top=0.58, bottom=0.47)
         for spare in row[len(chosen) :]:
             spare.remove()
         for axes, (_, start, rows) in zip(row, chosen, strict=False):
@@ -570,7 +345,7 @@ def zoom_figure(r: Residuals, name: str, *, targets: Mapping[int, str] | None = 
                     qx,
                     qy,
                     linestyle="none",
-                    marker="o",
+                    marker="s" if colour == AFTER else "o",
                     markersize=size,
                     color=colour,
                     markeredgecolor="white",
@@ -587,16 +362,16 @@ def zoom_figure(r: Residuals, name: str, *, targets: Mapping[int, str] | None = 
             moving = f", {speed:.0f} m/s" if np.isfinite(speed) else ""
             axes.set_title(f"{_target_name(int(r.target[middle]), targets)}: {_km(r.reference_range_m[middle])} away{moving}")
         row[0].set_ylabel(f"north ({unit})")
-        _legend(
+        legend(
             figure,
             [
-                (_dot(QUIET), "reference at the plot's time"),
-                (_line("#9aa2aa", 1.4), "reference track"),
-                (_dot(BEFORE), "plot before correction"),
-                (_dot(AFTER), "plot after correction"),
+                (dot(QUIET), "reference at the plot's time"),
+                (line("#9aa2aa", 1.4), "reference track"),
+                (dot(BEFORE), "plot before correction"),
+                (dot(AFTER, "s"), "plot after correction"),
             ],
         )
-        svg = _svg(figure, name)
+        svg = to_svg(figure, name)
     caption = (
         "The same at true scale: one stretch of track each from the near, the middle and the far plots, each with a "
         "dozen plots or so. A thin line joins every plot to its reference. After correction the plots should lie about the "
@@ -623,12 +398,6 @@ def _target_name(number: int, targets: Mapping[int, str] | None) -> str:
     return f"Target {(targets or {}).get(number, str(number))}"
 
 
-def _size(metres: float) -> str:
-    """A length in words, to two digits."""
-    rounded = float(f"{metres:.2g}")
-    return f"{rounded / 1e3:g} km" if rounded >= 1e3 else f"{rounded:g} m"
-
-
 def _joined(r: Residuals, rows: IntArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     steps = np.diff(r.time_s[rows])
     cut = np.flatnonzero(steps > 12 * (np.median(steps) if len(steps) else 1.0)) + 1
@@ -653,33 +422,34 @@ def residual_figure(r: Residuals, name: str) -> Drawing | None:
     outside = 0
     if not shown or not against:
         return None
-    with _style(name):
-        figure, grid = _panels(
+    with style(name):
+        figure, grid = axes_grid(
             len(shown), len(against), 0.98 + 1.95 * len(shown) + 0.16 * (len(shown) - 1), gap=(0.18, 0.16), top=0.45, bottom=0.48
         )
         for i, quantity in enumerate(shown):
-            limits = _limits(quantity.before, quantity.after)
-            outside += _outside(limits, quantity.before, quantity.after)
+            limits = limits_of(quantity.before, quantity.after)
+            outside += outside_of(limits, quantity.before, quantity.after)
             for j, (label, x) in enumerate(against):
                 axes = grid[i][j]
                 some = sample(len(r))
                 for values, light in ((quantity.before, BEFORE_LIGHT), (quantity.after, AFTER_LIGHT)):
-                    _points(axes, x[some], values[some], light, size=1.8 if len(r) > 400 else 3.0)
+                    points(axes, x[some], values[some], light, size=1.8 if len(r) > 400 else 3.0)
                 axes.axhline(0, color=INK, linewidth=0.7, zorder=2.5)
                 edges = (
-                    azimuth_edges(len(r)) if label.startswith("azimuth") else _edges(x, 12 if label.startswith("speed") else 24)
+                    azimuth_edges(len(r)) if label.startswith("azimuth") else edges_of(x, 12 if label.startswith("speed") else 24)
                 )
                 for values, dark in ((quantity.before, BEFORE), (quantity.after, AFTER)):
                     b = binned(x, values, edges)
                     axes.fill_between(b.centre, b.low, b.high, color=dark, alpha=0.14, linewidth=0, zorder=3)
-                    axes.plot(b.centre, b.median, color=dark, linewidth=1.5, marker="o", markersize=2.2, zorder=4)
+                    marker = "s" if dark == AFTER else "o"
+                    axes.plot(b.centre, b.median, color=dark, linewidth=1.5, marker=marker, markersize=2.4, zorder=4)
                 axes.set_ylim(*limits)
                 if label:
                     axes.set_xlim(*_span(x, label))
                     if label.startswith("azimuth"):
                         axes.set_xticks(np.arange(0, 361, 90))
                 else:
-                    label = _time_axis(axes, x)
+                    label = time_axis(axes, x)
                 if j:
                     axes.tick_params(labelleft=False)
                 else:
@@ -689,7 +459,7 @@ def residual_figure(r: Residuals, name: str) -> Drawing | None:
                 else:
                     axes.tick_params(labelbottom=False)
         _residual_legend(figure)
-        svg = _svg(figure, name)
+        svg = to_svg(figure, name)
     caption = (
         "Measured minus reference, before and after correction, against range, azimuth, time and the target's "
         "speed. Light points "
@@ -697,18 +467,18 @@ def residual_figure(r: Residuals, name: str) -> Drawing | None:
         f"correction is an error that the chosen terms do not describe.{_sampled(len(r))}"
     )
     if outside:
-        caption += f" {_count(outside)} values lie outside the axes."
+        caption += f" {count_text(outside)} values lie outside the axes."
     return Drawing(name, svg, caption, "Errors against range, azimuth, time and speed")
 
 
 def _residual_legend(figure: Figure) -> None:
-    _legend(
+    legend(
         figure,
         [
-            (_dot(BEFORE_LIGHT), "plots before"),
-            (_line(BEFORE), "median before"),
-            (_dot(AFTER_LIGHT), "plots after"),
-            (_line(AFTER), "median after"),
+            (dot(BEFORE_LIGHT), "plots before"),
+            (line(BEFORE), "median before"),
+            (dot(AFTER_LIGHT), "plots after"),
+            (line(AFTER), "median after"),
         ],
     )
 
@@ -735,10 +505,10 @@ def target_figure(r: Residuals, name: str, *, targets: Mapping[int, str] | None 
     rank = np.argsort(group_quantiles(r.distance_before_m, which, n, (0.5,))[0][0], kind="stable")
     named = n <= 48
     at = np.arange(n, dtype=np.float64)
-    with _style(name):
+    with style(name):
         words = [(targets or {}).get(int(numbers[k]), str(numbers[k])) for k in rank] if named else []
         bottom = 0.46 + (0.055 * max(map(len, words)) if n > 8 and named else 0.0)
-        figure, grid = _panels(
+        figure, grid = axes_grid(
             len(shown), 1, 0.45 + bottom + 1.25 * len(shown) + 0.14 * (len(shown) - 1), gap=(0.0, 0.14), top=0.45, bottom=bottom
         )
         for (axes,), quantity in zip(grid, shown, strict=True):
@@ -750,12 +520,13 @@ def target_figure(r: Residuals, name: str, *, targets: Mapping[int, str] | None 
                     at + shift, low, high, color=dark, alpha=0.4, linewidth=float(np.clip(90 / n, 0.5, 3.0)), rasterized=n > 600
                 )
                 axes.plot(
-                    at + shift, middle, linestyle="none", marker="o", markersize=float(np.clip(120 / n, 1.6, 4.5)), color=dark,
+                    at + shift, middle, linestyle="none", marker="s" if dark == AFTER else "o", 
+                    markersize=float(np.clip(120 / n, 1.6, 4.5)), color=dark,
                     markeredgewidth=0, rasterized=n > 600,
                 )  # fmt: skip
             axes.axhline(0, color=INK, linewidth=0.7)
             axes.set_ylabel(quantity.label if quantity.name != "horizontal" else "distance (m)")
-            axes.set_ylim(*_limits(*ends, share=0.2))
+            axes.set_ylim(*limits_of(*ends, share=0.2))
             spare = max(0.7, (8 - n) / 2)
             axes.set_xlim(-spare, n - 1 + spare)
             axes.grid(False, axis="x")
@@ -767,13 +538,13 @@ def target_figure(r: Residuals, name: str, *, targets: Mapping[int, str] | None 
         else:
             last.set_xticks(
                 np.unique(np.linspace(0, n - 1, 9).astype(int)),
-                [_count(int(v) + 1) for v in np.unique(np.linspace(0, n - 1, 9).astype(int))],
+                [count_text(int(v) + 1) for v in np.unique(np.linspace(0, n - 1, 9).astype(int))],
             )
         last.set_xlabel("target" if named else "targets in the order of their distance before correction")
-        _legend(figure, [(_dot(BEFORE), "before"), (_dot(AFTER), "after")])
-        svg = _svg(figure, name)
+        legend(figure, [(dot(BEFORE), "before"), (dot(AFTER, "s"), "after")])
+        svg = to_svg(figure, name)
     caption = (
-        f"Every target by itself, in the order of its raw error ({_targets(n)}): median (dot) and the middle half (bar) "
+        f"Every target by itself, in the order of its raw error ({targets_text(n)}): median (dot) and the middle half (bar) "
         "of its plots' errors in each channel, and of the horizontal distance between plot and reference. A "
         "target that stands apart "
         "after correction has an error of its own (transponder, reference, association)."
@@ -788,22 +559,22 @@ def histogram_figure(r: Residuals, name: str) -> Drawing | None:
     shown, distance = quantities(r), _distance(r)
     if len(r) < 20 or not (shown or distance):
         return None
-    with _style(name):
-        figure, (row,) = _panels(1, len(shown) + len(distance), 3.6, top=0.82, bottom=0.5, gap=(0.55, 0))
+    with style(name):
+        figure, (row,) = axes_grid(1, len(shown) + len(distance), 3.6, top=0.82, bottom=0.5, gap=(0.55, 0))
         for axes, quantity in zip(row, shown, strict=False):
             _histogram(axes, quantity)
         row[0].set_ylabel("plots per bin (%)")
         if distance:
             _cumulative(row[-1], distance[0])
-        _legend(
+        legend(
             figure,
             [
-                (_line(BEFORE, 3), "before"),
-                (_line(AFTER, 3), "after"),
-                (_line(QUIET, 1.2, "--"), "normal distribution of the same median and robust sd"),
+                (line(BEFORE, 3), "before"),
+                (line(AFTER, 3), "after"),
+                (line(QUIET, 1.2, "--"), "normal distribution of the same median and robust sd"),
             ],
         )
-        svg = _svg(figure, name)
+        svg = to_svg(figure, name)
     caption = (
         "How the errors are distributed. sd is the robust standard deviation (1.4826 times the median absolute "
         "deviation), and the "
@@ -815,7 +586,7 @@ def histogram_figure(r: Residuals, name: str) -> Drawing | None:
 
 
 def _histogram(axes: Axes, quantity: Quantity) -> None:
-    limits = _limits(quantity.before, quantity.after)
+    limits = limits_of(quantity.before, quantity.after)
     edges = np.linspace(*limits, 61 if len(quantity.before) > 500 else 25)
     fine = np.linspace(*limits, 301)
     unit, digits = ("°", 3) if quantity.unit == "°" else (f" {quantity.unit}", 1)
@@ -850,7 +621,7 @@ def _cumulative(axes: Axes, distance: Quantity) -> None:
         quantiles = np.quantile(known, levels)
         half, nearly = np.quantile(known, (0.5, 0.95))
         most = max(most, float(np.quantile(known, 0.99)))
-        axes.plot(quantiles, levels, color=dark, linewidth=1.5)
+        axes.plot(quantiles, levels, color=dark, linewidth=1.5, linestyle="-" if dark == AFTER else DASHED)
         axes.plot([half, nearly], [0.5, 0.95], linestyle="none", marker="o", markersize=4, color=dark)
         text = f"{word}: median {half:.1f} m, 95 % within {nearly:.1f} m"
         axes.text(0, 1.105 - 0.065 * k, text, transform=axes.transAxes, fontsize=7.5, color=dark)
@@ -873,7 +644,7 @@ def curve_figure(r: Residuals, name: str) -> Drawing | None:
     panels = []
     for label, x, edges, quantity in (
         ("azimuth (°)", r.reference_azimuth_rad / DEG % 360, azimuth_edges(len(r)), channel.get("azimuth")),
-        ("range (km)", r.reference_range_m / 1e3, _edges(r.reference_range_m / 1e3, 30), channel.get("range")),
+        ("range (km)", r.reference_range_m / 1e3, edges_of(r.reference_range_m / 1e3, 30), channel.get("range")),
     ):
         if quantity is not None:
             measured = binned(x, quantity.before, edges)
@@ -882,8 +653,8 @@ def curve_figure(r: Residuals, name: str) -> Drawing | None:
                 panels.append((label, x, quantity, measured, taken))
     if not panels:
         return None
-    with _style(name):
-        figure, (row,) = _panels(1, len(panels), 3.35, top=0.45, bottom=0.48)
+    with style(name):
+        figure, (row,) = axes_grid(1, len(panels), 3.35, top=0.45, bottom=0.48)
         for axes, (label, x, quantity, measured, taken) in zip(row, panels, strict=True):
             # The sd of a median of normal errors is 1.253 times that of their mean.
             error = 1.253 * (measured.high - measured.low) / 2 / np.sqrt(measured.number)
@@ -905,18 +676,18 @@ def curve_figure(r: Residuals, name: str) -> Drawing | None:
             axes.set_xlim(*_span(x, label))
             if label.startswith("azimuth"):
                 axes.set_xticks(np.arange(0, 361, 45))
-            axes.set_ylim(*_limits(measured.low, measured.high, taken.low, taken.high))
+            axes.set_ylim(*limits_of(measured.low, measured.high, taken.low, taken.high))
             axes.set_xlabel(label)
             axes.set_ylabel(quantity.label)
-        _legend(
+        legend(
             figure,
             [
-                (_dot(BEFORE), "measured − reference, bin median ± 2 standard errors"),
-                (_band(BEFORE_LIGHT), "middle 68 % of the plots"),
-                (_line(AFTER, 2.0), "the model's error for the same plots, with its middle 68 %"),
+                (dot(BEFORE), "measured − reference, bin median ± 2 standard errors"),
+                (band(BEFORE_LIGHT), "middle 68 % of the plots"),
+                (line(AFTER, 2.0), "the model's error for the same plots, with its middle 68 %"),
             ],
         )
-        svg = _svg(figure, name)
+        svg = to_svg(figure, name)
     caption = (
         "The error that was found, and the model laid over it. The line is the median of what the model takes "
         "from the very plots of "
@@ -946,7 +717,7 @@ def correlation_figure(found: Calibration, name: str, names: dict[int, str]) -> 
     upright = p > 5 or several
     high = p * step + low + (0.062 if upright else 0.034) * max(map(len, labels)) + 0.25
     wide = max(left + p * step + 1.4, WIDTH_IN)
-    with _style(name):
+    with style(name):
         figure = Figure(figsize=(wide, high), facecolor="white")
         axes = figure.add_axes((left / wide, low / high, p * step / wide, p * step / high))
         axes.set_facecolor("#eceef0")
@@ -986,15 +757,10 @@ def correlation_figure(found: Calibration, name: str, names: dict[int, str]) -> 
         bar.set_ylabel("correlation", labelpad=4)
         for side in bar.spines.values():
             side.set_visible(False)
-        svg = _svg(figure, name)
+        svg = to_svg(figure, name)
     caption = (
         "Correlation between the estimates of the terms. Near 0, two terms are told apart by these data; near ±1 "
         "only their sum or "
         "difference is known, and a wrong value of one is made up for by the other."
     )
     return Drawing(name, svg, caption, "Correlation matrix of the terms")
-
-
-def term_label(name: str) -> str:
-    """The name of a term as people read it: ``range_bias`` is "range bias"."""
-    return name.replace("_", " ")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -15,14 +16,18 @@ import numpy as np
 
 from .._files import write_text
 from .._types import FloatArray
-from ..terms import TERMS
-from . import figures as draw
+from ..model import Channel
+from ..terms import TERMS, Geometry
+from . import charts, figures
+from .drawing import MAX_PAIRS, Drawing, group_quantiles, sample, term_label
 
 if TYPE_CHECKING:
+    from ..assessment.requirement import Conformity
     from ..assessment.residuals import Residuals
     from ..association import Association
-    from ..calibration import Calibration, Summary
+    from ..calibration import Calibration, Summary, TermKey, Verdict
     from ..model import Sensors
+    from .evidence import Clock, Evidence
 
 _MINUS = "\u2212"
 _THIN = "\u202f"
@@ -90,10 +95,11 @@ _SETTINGS = {
     "short_block_s": "quick errors of a target are taken as constant over so many seconds (0: by the kind of sensor)",
     "long_block_s": "slow errors of a target are taken as constant over so many seconds (0: by the kind of sensor)",
     "agreement": "probability below which the weights of a target's plots count as wrong, and every plot counts for itself",
+    "criterion": "by what the terms of a model are chosen where none is given",
     "max_iterations": "steps that the estimate may take",
 }
 
-GLOSSARY = (
+GLOSSARY: tuple[tuple[str, str], ...] = (
     ("bias", "measured minus true. The correction is its opposite."),
     ("range error", "positive: the radar measures too long a distance."),
     ("azimuth error", "positive: the radar points too far clockwise, seen from above, from true north."),
@@ -105,6 +111,10 @@ GLOSSARY = (
     ("random error", "scatter of single plots, without the systematic errors and without the reference's own uncertainty."),
     ("held out", "errors of targets that took no part in the estimate with which they were corrected."),
     ("distance", "horizontal distance between plot and reference, with the plot put at the reference's height."),
+    ("apply", "the term improves targets that took no part in the estimate: take it out of the plots."),
+    ("hold", "the term is known, but taking it out does not clearly improve anything: leave it in."),
+    ("insufficient", "the data cannot tell whether taking it out would improve or spoil: record more before deciding."),
+    ("PSR − SSR", "where the primary radar saw a target, less where the secondary radar did."),
     ("robust sd", "1.4826 times the median absolute deviation: the sd without the say of outliers."),
 )
 
@@ -118,23 +128,25 @@ def write_report(
     title: str,
     truth: Mapping[str, Mapping[str, float]] | None = None,
     warnings: Sequence[str] = (),
-    clock: Mapping[str, str] | None = None,
     association: Association | None = None,
     targets: Mapping[int, str] | None = None,
     reference: Sequence[str] = (),
+    evidence: Evidence | None = None,
+    conformity: Sequence[Conformity] = (),
 ) -> Path:
     """Write the report of a calibration as one self-contained HTML file, and return its path.
 
     `truth` holds the true values of a simulated scene, sensor name -> term -> value in the term's unit.  `warnings` come on
-    top of the calibration's own.  `clock` holds lines (what -> finding) on the clocks; `association` gives the plots not used and
-    the coarse biases.  `targets` names the targets (number -> address or callsign); `reference` are the paths among the inputs
-    that are the reference.  The file is written beside and then renamed; the same arguments give the same bytes.
+    top of the calibration's own.  `association` gives the plots not used and the coarse biases.  `targets` names the targets
+    (number -> address or callsign); `reference` are the paths among the inputs that are the reference.  `evidence` is what the
+    recordings tell besides the pairs (`gather`), `conformity` the verdicts on requirements.  The file is written
+    beside and then renamed; the same arguments give the same bytes.
 
     Raises InputError where the file cannot be written.
     """
     text = render(
-        calibration, residuals, sensors, title=title, truth=truth, warnings=warnings, clock=clock, association=association,
-        targets=targets, reference=reference,
+        calibration, residuals, sensors, title=title, truth=truth, warnings=warnings, association=association, targets=targets,
+        reference=reference, evidence=evidence, conformity=conformity,
     )  # fmt: skip
     target = Path(path)
     write_text(target, text)
@@ -149,21 +161,16 @@ def render(
     title: str,
     truth: Mapping[str, Mapping[str, float]] | None = None,
     warnings: Sequence[str] = (),
-    clock: Mapping[str, str] | None = None,
     association: Association | None = None,
     targets: Mapping[int, str] | None = None,
     reference: Sequence[str] = (),
+    evidence: Evidence | None = None,
+    conformity: Sequence[Conformity] = (),
 ) -> str:
     """The report of `write_report` as text."""
-    from importlib.resources import files
-
-    import jinja2
-
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["count"] = count
-    template = environment.from_string((files(__package__) / "template.html").read_text(encoding="utf-8"))
     truth = truth or {}
-    drawn = _Numbered()
+    drawn = Numbered()
+    names = unique_names(targets or {})
     sections = [
         _section(
             calibration,
@@ -172,20 +179,23 @@ def render(
             sensors,
             truth.get(summary.name, {}),
             drawn,
-            targets or {},
+            names,
+            evidence,
+            [c for c in conformity if c.sensor == summary.name],
         )
         for summary in calibration.sensors
     ]
-    names = {s.sensor: s.name for s in calibration.sensors}
-    correlation = drawn.add(draw.correlation_figure(calibration, "correlation", names))
-    return template.render(
+    sensor_names = {s.sensor: s.name for s in calibration.sensors}
+    correlation = drawn.add(figures.correlation_figure(calibration, "correlation", sensor_names))
+    alarming, telling = messages([_short(text, calibration) for text in dict.fromkeys([*warnings, *calibration.warnings])])
+    text: str = template("template.html").render(
         title=title,
         version=calibration.version,
         sections=sections,
         correlation=correlation,
         simulated=bool(truth),
-        warnings=[_short(text, calibration) for text in dict.fromkeys([*warnings, *calibration.warnings])],
-        clock=list((clock or {}).items()),
+        warnings=alarming,
+        information=telling,
         unused=_unused(association),
         used=len(residuals),
         coarse=_coarse(association),
@@ -196,11 +206,28 @@ def render(
         span=_time_span(residuals.time_s),
         glossary=GLOSSARY,
         epochs=len(calibration.epoch_s),
-        markup=_Markup(),
+        markup=Markup(),
     )
+    return text
 
 
-class _Markup:
+def template(name: str) -> Any:
+    """A template of this package, with what all pages share."""
+    from importlib.resources import files
+
+    import jinja2
+
+    folder = files(__package__)
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(lambda part: (folder / part).read_text(encoding="utf-8")),
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters["count"] = count
+    environment.filters["words"] = term_label
+    return environment.get_template(name)
+
+
+class Markup:
     """What the template may put in unescaped: only drawings made here."""
 
     def __call__(self, svg: str) -> Any:
@@ -209,13 +236,13 @@ class _Markup:
         return markupsafe.Markup(svg)
 
 
-class _Numbered:
+class Numbered:
     """Counts the figures of a page."""
 
     def __init__(self) -> None:
         self.number = 0
 
-    def add(self, drawing: draw.Drawing | None) -> dict[str, Any] | None:
+    def add(self, drawing: Drawing | None) -> dict[str, Any] | None:
         if drawing is None:
             return None
         self.number += 1
@@ -281,15 +308,20 @@ class Row:
     true: str
     off: str
     far: bool
+    decision: str
+    gain: str
+    why: str
 
 
 def rows_of(calibration: Calibration, summary: Summary, truth: Mapping[str, float]) -> list[Row]:
     """The terms of one sensor in the units people read, in the calibration's order; the newest epoch."""
     out = []
     interval = calibration.interval(0.95)[-1]
+    verdicts = {(v.channel, v.term): v for v in summary.verdicts}
     for k, key in enumerate(calibration.terms):
         if key.sensor != summary.sensor:
             continue
+        advice = verdicts.pop((key.channel, key.name), None)
         scale = TERMS[key.name].si_per_unit
         value, sd = float(calibration.value[-1, k]) / scale, float(calibration.sd[-1, k]) / scale
         low, high = (float(v) / scale for v in interval[k])
@@ -310,9 +342,32 @@ def rows_of(calibration: Calibration, summary: Summary, truth: Mapping[str, floa
                 true=number(true, places, sign=True),
                 off=number(off, 1, sign=True),
                 far=bool(abs(off) > 3),
+                decision=advice.decision if advice else "",
+                gain=_gain(advice) if advice else "",
+                why=advice.why if advice else "",
             )
         )
+    # Terms that were looked at and have no number.
+    for (channel, name), advice in verdicts.items():
+        out.append(
+            Row(
+                name=name, channel="" if channel == "all" else channel, value="–", sd="–", low="–", high="–",
+                unit=unit_text(TERMS[name].unit), meaning=TERMS[name].meaning, significant=False,
+                true=number(truth.get(name, math.nan), 3, sign=True), off="–", far=False, decision=advice.decision,
+                gain=_gain(advice), why=advice.why,
+            )
+        )  # fmt: skip
     return out
+
+
+def _gain(advice: Verdict) -> str:
+    if not np.isfinite(advice.gain_m):
+        return ""
+    if not np.isfinite(advice.gain_low_m + advice.gain_high_m):
+        return number(advice.gain_m, 2, sign=True)
+    places = decimals(max(advice.gain_high_m - advice.gain_low_m, 0.04) / 4)
+    low, high = (number(v, places, sign=True) for v in (advice.gain_low_m, advice.gain_high_m))
+    return f"{number(advice.gain_m, places, sign=True)} ({low} … {high})"
 
 
 def verdict(calibration: Calibration, summary: Summary) -> tuple[str, str]:
@@ -336,7 +391,7 @@ def verdict(calibration: Calibration, summary: Summary) -> tuple[str, str]:
             significant_swing = significant_swing or significant
         if not significant:
             amount = f"{number(value, decimals(sd), sign=True)} ± {with_unit(number(sd, decimals(sd)), key.unit)}"
-            nothing.append(f"{draw.term_label(key.name)}{on} ({amount})")
+            nothing.append(f"{term_label(key.name)}{on} ({amount})")
             continue
         # In a sentence, three digits are enough, and no more than the uncertainty allows.
         digits = max(0, min(decimals(sd), 2 - int(np.floor(np.log10(abs(value))))))
@@ -347,7 +402,7 @@ def verdict(calibration: Calibration, summary: Summary) -> tuple[str, str]:
             wrong.append((abs(value) / sd, _WORDS[key.name][value < 0].format(amount) + on))
         elif key.name not in ("azimuth_cos", "azimuth_sin"):
             signed = with_unit(number(value, decimals(sd), sign=True), key.unit)
-            wrong.append((abs(value) / sd, f"has a {draw.term_label(key.name)} of {signed}{on}"))
+            wrong.append((abs(value) / sd, f"has a {term_label(key.name)} of {signed}{on}"))
     if significant_swing:
         size = float(np.hypot(*swing))
         worst = np.degrees(np.arctan2(swing[1], swing[0])) % 360
@@ -486,23 +541,47 @@ def _section(
     r: Residuals,
     sensors: Sensors,
     truth: Mapping[str, float],
-    drawn: _Numbered,
+    drawn: Numbered,
     targets: Mapping[int, str],
+    evidence: Evidence | None,
+    conformity: Sequence[Conformity],
 ) -> dict[str, Any]:
     """Everything that the template needs of one sensor."""
     slug = f"sensor-{summary.sensor}"
-    chosen = r.take(draw.sample(len(r), draw.MAX_PAIRS)) if len(r) > draw.MAX_PAIRS else r
-    makers: list[Callable[[str], draw.Drawing | None]] = [
-        partial(draw.map_figure, chosen),
-        partial(draw.zoom_figure, r, targets=targets),  # a track must be whole
-        partial(draw.curve_figure, chosen),
-        partial(draw.residual_figure, chosen),
-        partial(draw.target_figure, chosen, targets=targets),
-        partial(draw.histogram_figure, chosen),
-    ]
-    kinds = ("map", "tracks", "curve", "residuals", "targets", "histograms")
-    shown = [drawn.add(maker(f"{slug}-{kind}")) for kind, maker in zip(kinds, makers, strict=True)]
+    chosen = r.take(sample(len(r), MAX_PAIRS)) if len(r) > MAX_PAIRS else r
     sensor = sensors.find(summary.sensor)
+
+    def add(maker: Callable[[str], Drawing | None], kind: str) -> dict[str, Any] | None:
+        return drawn.add(maker(f"{slug}-{kind}"))
+
+    advice = add(partial(charts.gain_figure, summary.verdicts), "gain")
+    seen = tuple((_trimmed_rms(along), _trimmed_rms(across)) for along, across in _along_and_across(chosen))
+    left = left_by_calibration(calibration, chosen)
+    budget = add(partial(charts.budget_figure, summary.budget, left, (seen[0], seen[1])), "budget")
+    choices = add(partial(charts.choice_figure, summary.choices, summary.criterion), "choices")
+    makers: list[tuple[str, Callable[[str], Drawing | None]]] = [
+        ("map", partial(figures.map_figure, chosen, sensor=None if _moves(evidence, summary.sensor) else sensor)),
+        ("tracks", partial(figures.zoom_figure, r, targets=targets)),  # a track must be whole
+        ("curve", partial(figures.curve_figure, chosen)),
+        ("residuals", partial(figures.residual_figure, chosen)),
+        ("targets", partial(figures.target_figure, chosen, targets=targets)),
+        ("histograms", partial(figures.histogram_figure, chosen)),
+    ]
+    if evidence is not None and sensor is not None and _moves(evidence, summary.sensor):
+        makers.insert(
+            0, ("trial", partial(charts.trial_figure, chosen, platform=evidence.platform, sensor=sensor, targets=targets))
+        )
+    shown = [add(maker, kind) for kind, maker in makers]
+    chains, chains_figure = [], None
+    if evidence is not None and evidence.psr_ssr is not None:
+        chains = _chain_rows(evidence, summary.sensor)
+        chains_figure = add(partial(charts.psr_ssr_figure, evidence.chains, evidence.psr_ssr, summary.sensor), "psr-ssr")
+    clocks = [
+        {"file": Path(c.path).name, "rows": clock_rows(c), "remarks": c.remarks,
+         "figure": add(partial(charts.clock_figure, c), f"clock-{k}")}
+        for k, c in enumerate(evidence.clocks if evidence is not None else ())
+        if c.sensor == summary.sensor
+    ]  # fmt: skip
     first, second = verdict(calibration, summary)
     rows = rows_of(calibration, summary, truth)
     have = {row.name for row in rows}
@@ -532,10 +611,293 @@ def _section(
         "noise": noise,
         "notes": summary.notes,
         "rows": rows,
+        "advised": any(row.decision for row in rows),
+        "gains": any(row.gain for row in rows),
         "has_channels": any(row.channel for row in rows),
         "has_truth": bool(truth),
         "missed": [(name, number(value, 3, sign=True)) for name, value in truth.items() if name not in have and value != 0],
         "not_determined": [n for n in calibration.not_determined if n.sensor == summary.sensor],
+        "aliases": alias_groups(calibration, summary.sensor),
+        "conformity": [_judged(c) for c in conformity],
+        "judged": _judged_counts(conformity),
+        "advice_figure": advice,
+        "budget_figure": budget,
+        "criterion": summary.criterion,
+        "choices": [_step(c) for c in summary.choices],
+        "choices_figure": choices,
+        "effects": _effect_rows(summary),
+        "target_rows": _target_rows(chosen, targets),
         "figures": [f for f in shown if f is not None],
+        "chains": chains,
+        "chains_figure": chains_figure,
+        "clocks": clocks,
         "chosen": len(chosen) if len(chosen) < len(r) else 0,
     }
+
+
+def _moves(evidence: Evidence | None, sensor: int) -> bool:
+    return evidence is not None and bool((evidence.platform.sensor == sensor).any())
+
+
+# -------------------------------------------------------------------------------------------------------------- what it says
+
+
+def unique_names(targets: Mapping[int, str]) -> dict[int, str]:
+    """The targets' names, with a number behind those that several share (track numbers of several recordings)."""
+    times: dict[str, int] = {}
+    for name in targets.values():
+        times[name] = times.get(name, 0) + 1
+    so_far: dict[str, int] = {}
+    out = {}
+    for key in sorted(targets):
+        name = targets[key]
+        so_far[name] = so_far.get(name, 0) + 1
+        out[key] = f"{name} ({so_far[name]})" if times[name] > 1 else name
+    return out
+
+
+# What tells how the files were read, and asks for nothing.
+_TELLS = re.compile(
+    r"passed over|repeat (one|a position)|given twice|platform moves|in the order of|order of time|each carries its own sd"
+    r"|read line by line|correction takes it out|platform's own is not known|the radar's own: not used|state vectors do not tell"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """Messages of one kind: they differ in numbers and files only."""
+
+    first: str
+    texts: tuple[str, ...]
+
+
+def messages(texts: Sequence[str]) -> tuple[list[Message], list[Message]]:
+    """Messages by kind, in the order of the first of each: those to heed, and those that only tell how the files were read."""
+    kinds: dict[str, list[str]] = {}
+    for text in texts:
+        key = re.sub(r"^[^:]*\.\w+: |^[^ :]+: ", "", text)
+        kinds.setdefault(re.sub(r"[\d][\d,.\u202f]*", "#", key), []).append(text)
+    grouped = [Message(same[0], tuple(same)) for same in kinds.values()]
+    return [m for m in grouped if not _TELLS.search(m.first)], [m for m in grouped if _TELLS.search(m.first)]
+
+
+def alias_groups(calibration: Calibration, sensor: int, least: float = 0.9) -> list[tuple[list[str], str]]:
+    """Terms of a sensor whose estimates hang together: names of each group, and its strongest correlation as text."""
+    index = [k for k, key in enumerate(calibration.terms) if key.sensor == sensor]
+    if len(index) < 2:
+        return []
+    covariance = calibration.covariance[-1][np.ix_(index, index)]
+    sd = np.sqrt(np.maximum(np.diagonal(covariance), 1e-300))
+    correlation = covariance / np.outer(sd, sd)
+    group = list(range(len(index)))
+    for i in range(len(index)):
+        for j in range(i):
+            if abs(correlation[i, j]) >= least:
+                group = [group[j] if g == group[i] else g for g in group]
+    out = []
+    for number_ in dict.fromkeys(group):
+        members = [i for i, g in enumerate(group) if g == number_]
+        if len(members) > 1:
+            pairs = [(abs(correlation[i, j]), correlation[i, j]) for i in members for j in members if j < i]
+            names = [_key_label(calibration.terms[index[i]]) for i in members]
+            out.append((names, number(float(max(pairs)[1]), 2, sign=True)))
+    return out
+
+
+def _key_label(key: TermKey) -> str:
+    return term_label(key.name) + ("" if key.channel == "all" else f" ({term_label(key.channel)})")
+
+
+def _along_and_across(r: Residuals) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+    """Errors in range and across it (m), before and after correction; pairs that were taken for wrong are left out."""
+    trusted = r[r.weight > 0]
+    wide = trusted.reference_range_m * np.cos(trusted.reference_elevation_rad)
+    return (
+        (trusted.range_before_m, trusted.azimuth_before_rad * wide),
+        (trusted.range_after_m, trusted.azimuth_after_rad * wide),
+    )
+
+
+def _trimmed_rms(values: FloatArray) -> float:
+    """Root mean square without the largest hundredth: one wrong pair must not make the figure."""
+    known = np.abs(values[np.isfinite(values)])
+    if not len(known):
+        return math.nan
+    return float(np.sqrt(np.mean(known[known <= np.quantile(known, 0.99)] ** 2)))
+
+
+def left_by_calibration(calibration: Calibration, r: Residuals) -> tuple[float, float]:
+    """The uncertainty of the correction itself at the plots of one sensor: rms (m) in range and across it; NaN without plots.
+
+    Rates are those of a target that goes straight on at its level; lengths are not known here and count as nothing.
+    """
+    if not len(r) or not calibration.terms:
+        return math.nan, math.nan
+    r = r.take(sample(len(r), 2000))
+    keys = [(k, key) for k, key in enumerate(calibration.terms) if key.sensor == int(r.sensor[0])]
+    if not keys:
+        return math.nan, math.nan
+    flat = np.maximum(r.reference_range_m * np.cos(r.reference_elevation_rad), 1.0)
+    speed, turn = np.nan_to_num(r.reference_speed_mps), np.nan_to_num(r.reference_course_rad) - r.reference_azimuth_rad
+    rate = np.stack([speed * np.cos(turn), speed * np.sin(turn) / flat, np.zeros(len(r))], axis=1)
+    none = np.zeros((len(r), 3))
+    place = Geometry(
+        r.reference_range_m, r.reference_azimuth_rad, r.reference_elevation_rad, rate, none, none, r.reference_course_rad,
+        np.full(len(r), np.nan), r.time_s - calibration.epoch_s[0],
+    )  # fmt: skip
+    columns = []
+    for _, key in keys:
+        mine = key.channel == "all" or np.isin(r.channel, [c.value for c in Channel if c.name.lower() == key.channel.lower()])
+        columns.append(np.nan_to_num(TERMS[key.name].columns(place)) * np.reshape(mine, (-1, 1)))
+    jacobian = np.stack(columns, axis=2)
+    index = [k for k, _ in keys]
+    covariance = calibration.covariance[-1][np.ix_(index, index)]
+    variance = np.einsum("nki,ij,nkj->nk", jacobian, covariance, jacobian)
+    return float(np.sqrt(np.mean(variance[:, 0]))), float(np.sqrt(np.mean(variance[:, 1] * flat**2)))
+
+
+def _judged(c: Conformity) -> dict[str, str]:
+    places = min(decimals((c.high - c.low) / 4), 6) if c.high > c.low else 3
+    return {
+        "requirement": c.requirement,
+        "clause": c.clause,
+        "quantity": term_label(c.quantity),
+        "limit": f"{c.limit:g}",
+        "value": number(c.value, places),
+        "interval": f"{number(c.low, places)} … {number(c.high, places)}" if np.isfinite(c.low + c.high) else "–",
+        "unit": unit_text(c.unit),
+        "verdict": c.verdict,
+        "why": c.why,
+    }
+
+
+def _judged_counts(conformity: Sequence[Conformity]) -> list[dict[str, Any]]:
+    """By requirement: how many figures pass, fail and stay undecided, and which of them do not pass."""
+    out = []
+    for name in dict.fromkeys(c.requirement for c in conformity):
+        mine = [c for c in conformity if c.requirement == name]
+        out.append({
+            "requirement": name,
+            "counts": [(v, n) for v in ("pass", "fail", "undecided") if (n := sum(c.verdict == v for c in mine))],
+            "failed": [term_label(c.quantity) for c in mine if c.verdict == "fail"],
+        })  # fmt: skip
+    return out
+
+
+def _step(c: Any) -> dict[str, str]:
+    sd = c.change_sd if np.isfinite(c.change_sd) else abs(c.change) / 30 if np.isfinite(c.change) else math.nan
+    change = number(c.change, decimals(sd), sign=True) if np.isfinite(c.change) else ""
+    return {
+        "what": f"{c.action} {term_label(c.term)}".strip(),
+        "criterion": f"{c.criterion:.6g}".replace("-", _MINUS) if np.isfinite(c.criterion) else "",
+        "change": f"{change} ± {number(c.change_sd, decimals(sd))}" if change and np.isfinite(c.change_sd) else change,
+        "why": c.why,
+    }
+
+
+def _effect_rows(summary: Summary) -> list[dict[str, str]]:
+    """The random errors that plots of one target share, the longest first."""
+    spans = sorted({e.block_s for e in summary.effects if math.isfinite(e.block_s)}, reverse=True)
+    names = {span: ("slow" if k == 0 and len(spans) > 1 else "quick") for k, span in enumerate(spans)}
+    out = []
+    for e in sorted(summary.effects, key=lambda e: -e.block_s):
+        term = TERMS[e.term]
+        sd = e.sd / term.si_per_unit
+        out.append({
+            "what": f"acts as {term_label(e.term)}",
+            "kind": f"{names[e.block_s]}: another after {e.block_s:g} s" if e.block_s in names else "the same in all its plots",
+            "sd": with_unit(number(sd, decimals(sd)), term.unit),
+        })  # fmt: skip
+    return out
+
+
+def _target_rows(r: Residuals, targets: Mapping[int, str], most: int = 12) -> list[dict[str, str]]:
+    """The targets that lie farthest off after correction: who they are, how many plots, and their median errors."""
+    if not len(r):
+        return []
+    numbers, which = np.unique(r.target, return_inverse=True)
+    n = len(numbers)
+    medians = {
+        name: group_quantiles(values, which, n, (0.5,))[0][0]
+        for name, values in (
+            ("range", r.range_after_m), ("azimuth", np.degrees(r.azimuth_after_rad)), ("before", r.distance_before_m),
+            ("after", r.distance_after_m),
+        )
+    }  # fmt: skip
+    plots = np.bincount(which, minlength=n)
+    order = [k for k in np.argsort(-np.nan_to_num(medians["after"], nan=-1.0), kind="stable").tolist() if plots[k] >= 3][:most]
+    return [
+        {
+            "name": targets.get(int(numbers[k]), str(numbers[k])),
+            "plots": count(int(plots[k])),
+            "range": number(float(medians["range"][k]), 1, sign=True),
+            "azimuth": number(float(medians["azimuth"][k]), 3, sign=True),
+            "before": metres(float(medians["before"][k])) if np.isfinite(medians["before"][k]) else "–",
+            "after": metres(float(medians["after"][k])) if np.isfinite(medians["after"][k]) else "–",
+        }
+        for k in order
+    ]
+
+
+def _chain_rows(evidence: Evidence, sensor: int) -> list[dict[str, str]]:
+    from ..assessment.psr_ssr import NM, channel_name
+
+    t = evidence.psr_ssr
+    assert t is not None
+
+    def with_se(value: float, se: float) -> str:
+        places = decimals(se) if np.isfinite(se) else 2
+        return f"{number(value, places, sign=True)} ± {number(se, places)}"
+
+    return [
+        {
+            "channel": channel_name(int(t.channel[k])),
+            "plots": count(int(t.plots[k])),
+            "outliers": count(int(t.outliers[k])),
+            "targets": count(int(t.targets[k])),
+            "range": with_se(float(t.range_m[k]), float(t.range_se_m[k])),
+            "range_sd": number(float(t.range_sd_m[k]), 1),
+            "slope": with_se(float(t.slope[k]) * NM, float(t.slope_se[k]) * NM),
+            "azimuth": with_se(float(np.degrees(t.azimuth_rad[k])), float(np.degrees(t.azimuth_se_rad[k]))),
+            "azimuth_sd": number(float(np.degrees(t.azimuth_sd_rad[k])), 3),
+        }
+        for k in range(len(t))
+        if int(t.sensor[k]) == sensor
+    ]
+
+
+def clock_rows(c: Clock) -> list[tuple[str, str]]:
+    """What was found of a radar's clock, line by line."""
+    out: list[tuple[str, str]] = []
+    turn = c.rotation
+    if turn is not None:
+        by = "its north and sector marks" if turn.told_by == "marks" else "its plots"
+        out += [
+            (
+                "turn of the antenna",
+                f"{turn.period_s:.5f} s ± {turn.period_se_s * 1e6:.0f} µs, by {by} over {count(turn.turns)} turns",
+            ),
+            (
+                "jitter of the stamps",
+                f"{turn.jitter_s * 1e3:.1f} ms (robust sd); 99.9 % keep to {turn.jitter_999_s * 1e3:.0f} ms",
+            ),
+            ("slow wander", f"{turn.wander_s * 1e3:.1f} ms (sd)"),
+            ("uneven turning", f"{turn.ripple_deg[0]:.3f}° once a turn, {turn.ripple_deg[1]:.3f}° twice a turn"),
+            ("stamped by sector", f"{turn.sectors} sectors a turn" if turn.sectors else "no"),
+        ]
+        if turn.step_s:
+            out.append(("step of the stamps", f"{turn.step_s * 1e3:.4g} ms"))
+        if np.isfinite(turn.period_told_s):
+            out.append(("turn as it says itself", f"{turn.period_told_s:.3f} s"))
+        longest = max((g.end_s - g.start_s for g in turn.gaps), default=0.0)
+        out.append(
+            ("gaps", f"{len(turn.gaps)}, the longest of {longest:.0f} s" if turn.gaps else "none of more than three turns")
+        )
+    late = c.received
+    if late is not None:
+        drift = "" if math.isnan(late.drift_ms_per_h) else f", drift {number(late.drift_ms_per_h, 1, sign=True)} ms/h"
+        out.append((
+            "reception after the stamp",
+            f"{number(late.median_s, 3, sign=True)} s (median of {count(late.samples)}), robust sd {late.sd_s:.3f} s{drift}",
+        ))  # fmt: skip
+    return out
