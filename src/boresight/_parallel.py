@@ -15,7 +15,13 @@ _Out = TypeVar("_Out")
 
 
 def threads() -> int:
-    """How many threads are worth while: the processors that this process may use, at most 8 (memory is shared by all)."""
+    """How many threads are worth while: the processors that this process may use, at most 8 (memory is shared by all).
+
+    ``BORESIGHT_THREADS`` in the environment sets another number: 1 in worker processes, of which there is one a processor.
+    """
+    told = os.environ.get("BORESIGHT_THREADS", "")
+    if told.isdigit() and int(told) > 0:
+        return int(told)
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
     return max(1, min(allowed, 8))
 

@@ -6,6 +6,7 @@
       InputError(ValueError)       a file, table or recording that cannot be used: `path`, `offset`, `record`, `remedy`
       SettingsError(ValueError)    an option, a sensors.toml or a model that makes no sense: `where`, `remedy`
       NothingToDo                  inputs are sound but nothing can be computed from them (no overlap, no pairs): `remedy`
+      WorkersLost                  worker processes of a long computation died again and again: `remedy`
 
 Errors carry their data as attributes, so that a program need not parse the sentence.
 """
@@ -60,3 +61,7 @@ class SettingsError(BoresightError, ValueError):
 
 class NothingToDo(BoresightError):
     """The inputs are sound, but nothing can be computed from them."""
+
+
+class WorkersLost(BoresightError):
+    """Worker processes died again and again: too little memory, usually."""
