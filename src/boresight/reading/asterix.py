@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import datetime
 import tempfile
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
@@ -42,8 +43,28 @@ _APART = 2000
 _SAMPLE = 16
 # Records that follow each other in a sample of a file are this close in time, whatever the file.
 _GAP_S = 3600.0
+# A stamp that is further than this from the one ahead of it is doubted until another one confirms it.
+_LEAP_S = 600.0
 # What is not known of the time of a position where only the report's transmission is stamped (METHODS section 6).
 TRANSMISSION_SD_S = 0.5
+# What no target can be: a value beyond these limits is taken for damage and left out.  Heights are those that category 021 allows
+# (-15 to 1,500 flight levels), with room for the geoid where they are geometric; speeds reach beyond those of any aircraft.
+_LIMITS = {
+    "pressure_altitude_m": (-457.2, 45720.0),
+    "height_m": (-700.0, 46000.0),
+    "speed_mps": (0.0, 2000.0),
+    "velocity_east_mps": (-2000.0, 2000.0),
+    "velocity_north_mps": (-2000.0, 2000.0),
+    "velocity_up_mps": (-500.0, 500.0),
+}
+_SAID = {
+    "pressure_altitude_m": "pressure altitude",
+    "height_m": "height",
+    "speed_mps": "speed",
+    "velocity_east_mps": "velocity east",
+    "velocity_north_mps": "velocity north",
+    "velocity_up_mps": "vertical rate",
+}
 # Digests of records that are held at once to find duplicates (32 MB), and the shares of those of longer recordings on disk.
 _HELD = 1 << 22
 _SHARES = 64
@@ -360,30 +381,82 @@ def _looks(data: ByteArray, p: int, final: bool, cats: IntArray) -> int:
 
 
 @kernel
+def _sender(data: ByteArray, p: int, end: int, cats: IntArray, nodes: IntArray, row: AnyArray) -> int:
+    """The category and the source of the faultless block at `p`, as one number."""
+    row[:] = 0
+    _record(data, p + 3, end, cats, nodes, _int(data[p]), row)
+    at = p + 3 + _int(row[cats[data[p], 2]])
+    sender: int = _int(data[p]) << 16 | _int(data[at]) << 8 | _int(data[at + 1])
+    return sender
+
+
+@kernel
+def _related(data: ByteArray, p: int, q: int, final: bool, cats: IntArray, nodes: IntArray, row: AnyArray) -> int:
+    """1 where soon behind `q` begins a faultless block of the sender of the one at `p`; 0: none, -1: only more data can tell."""
+    size = len(data)
+    sender = _sender(data, p, p + _length(data, p), cats, nodes, row)
+    for r in range(q, min(q + 1024, size)):
+        if data[r] == data[p]:
+            end = _strict(data, r, final, cats, nodes, row)
+            if end < 0 or (end > 0 and _sender(data, r, end, cats, nodes, row) == sender):
+                return -1 if end < 0 else 1
+    return 0 if final or size >= q + 1024 else -1
+
+
+@kernel
 def _hidden(
     data: ByteArray, low: int, high: int, end: int, crossing: bool, final: bool, cats: IntArray, nodes: IntArray, row: AnyArray
 ) -> int:
     """The first place in `low` … `high` where faultless blocks begin; 0: none, -1: only more data can tell.
 
-    They must reach `end` or be two, and something like a block must follow; with `crossing`, they must go beyond `end`.
+    They must reach `end` or be two, and something like a block must follow, or soon one of the same category and source; with
+    `crossing`, they must go beyond `end`.
     """
     size = len(data)
     for p in range(low, high):
         if cats[data[p], 0] < 0:
             continue
-        q, blocks = p, 0
+        q, blocks, first = p, 0, 0
         while q == p or (q < end and q < size):
             q = _strict(data, q, final, cats, nodes, row)
             blocks += 1
+            if blocks == 1:
+                first = q
             if q <= 0 or (blocks == 2 and not crossing):
                 break
+        if q == 0 and blocks == 2:
+            # One between two that are damaged.
+            q = _related(data, p, first, final, cats, nodes, row)
+            if q == 1:
+                return p
         if q > 0 and (q > end or not crossing):
+            follows = q
             q = _looks(data, q, final, cats)
+            if q == 0:
+                q = _related(data, p, follows, final, cats, nodes, row)
             if q == 1:
                 return p
         if q == -1:
             return -1
     return 0
+
+
+@kernel
+def _end_well(data: ByteArray, begin: IntArray, end: IntArray, cats: IntArray, nodes: IntArray, row: AnyArray) -> BoolArray:
+    """Whether each part of the data, from `begin` (k,) to `end` (k,), ends with faultless blocks."""
+    out = np.zeros(len(begin), np.bool_)
+    for k in range(len(begin)):
+        part = data[begin[k] : end[k]]
+        for p in range(len(part)):
+            q = p
+            while 0 < q < len(part) or q == p:
+                q = _strict(part, q, True, cats, nodes, row)
+                if q == 0:
+                    break
+            if q == len(part):
+                out[k] = True
+                break
+    return out
 
 
 @kernel
@@ -518,9 +591,12 @@ def _extract(
 @kernel
 def _unwrap(
     tod: FloatArray, period: FloatArray, source: IntArray, receive: FloatArray, last: FloatArray, heard: FloatArray,
-    latest: float, day_s: float, out: FloatArray,
+    doubted: FloatArray, latest: float, day_s: float, out: FloatArray,
 ) -> float:  # fmt: skip
     """Times of day to times since 1970 (s): each within half a day of its reception, else of its source's last or of `latest`.
+
+    One that leaps away from the last is `doubted` until the next one of its source is near it: else two damaged ones in a row
+    could lead all that follow to another day.
 
     A time with a `period` is the rest of a time of day by it: it is taken next to its source's last time (and what has passed
     since by the receiver's clock, `heard` being when that was received), else next to its reception.
@@ -537,6 +613,15 @@ def _unwrap(
             t = day_s + tod[i]
             if not np.isnan(near):
                 t = tod[i] + 86400.0 * np.rint((near - tod[i]) / 86400.0)
+                if np.isnan(receive[i]) and abs(t - near) > _LEAP_S:
+                    doubt = doubted[source[i]]
+                    again = tod[i] + 86400.0 * np.rint((doubt - tod[i]) / 86400.0)
+                    if np.isnan(doubt) or abs(again - doubt) > _LEAP_S:
+                        out[i] = doubted[source[i]] = t
+                        heard[source[i]] = receive[i]
+                        continue
+                    t = again
+            doubted[source[i]] = np.nan
         else:
             passed = receive[i] - heard[source[i]]
             if np.isnan(near):
@@ -657,7 +742,8 @@ class DecodeState:
     """What the next bytes of a stream depend on.
 
     `day` is the UTC day (since 1970) of the first record; `latest_s` the last time read, and `stamps` the last one of each source
-    (``sac << 8 | sic``), received at `heard`: they keep the day across midnight, in both directions.  `editions` are those given
+    (``sac << 8 | sic``), received at `heard`: they keep the day across midnight, in both directions; those in `doubted` leap away
+    from the ones ahead of them.  `editions` are those given
     or inferred so far.  `offset` bytes and `records` records have been read, so that places and numbers are those of the whole
     stream.  Records of other than the wanted `categories` and `sources` (None: all) are read for their time and site, but not
     kept.
@@ -667,6 +753,7 @@ class DecodeState:
     latest_s: float = float("nan")
     stamps: Mapping[int, float] = field(default_factory=dict)
     heard: Mapping[int, float] = field(default_factory=dict)
+    doubted: Mapping[int, float] = field(default_factory=dict)
     editions: Mapping[int, str] = field(default_factory=dict)
     offset: int = 0
     records: int = 0
@@ -707,8 +794,9 @@ class Records:
     One row a record, in the order of the stream: absolute byte `offset`, `length`, `category`, `source` (``sac << 8 | sic``),
     `time_s` (NaN where the record has none), `receive_s` (NaN where not known), `digest` (equal for equal bytes).  `site` has the
     positions that the stream tells: source, latitude, longitude (rad), height (m).  `unknown` counts the blocks of categories
-    that cannot be read; `clipped` the positions beyond what their item can hold: they are no fixes.  `truncated` counts the
-    times of day that nothing completed; `notes` is what systems say of their sensors: source, category, sensor, what.
+    that cannot be read; `clipped` the positions beyond what their item can hold and `misplaced` (by category) those that are not
+    on Earth: they are no fixes.  `impossible` counts the values that no target can have, by column: they are absent.  `truncated`
+    counts the times of day that nothing completed; `notes` is what systems say of their sensors: source, category, sensor, what.
     """
 
     plots: Plots
@@ -728,6 +816,8 @@ class Records:
     clipped: int = 0
     truncated: int = 0
     notes: Mapping[tuple[int, int, int], str] = field(default_factory=dict)
+    misplaced: Mapping[int, int] = field(default_factory=dict)
+    impossible: Mapping[str, int] = field(default_factory=dict)
 
 
 def _columns(
@@ -883,6 +973,25 @@ def _times(
     return tod, which
 
 
+def _possible(table: Any, impossible: Counter[str]) -> Any:
+    """The table without the values that no target can have; they are counted by column."""
+    mended: dict[str, FloatArray] = {}
+    for name, (low, high) in _LIMITS.items():
+        value = getattr(table, name, None)
+        if value is None:
+            continue
+        wrong = (value < low) | (value > high)
+        if wrong.any():
+            impossible[name] += int(np.count_nonzero(wrong))
+            mended[name] = np.where(wrong, np.nan, value)
+    return table.replace(**mended) if mended else table
+
+
+def _on_earth(table: Fixes | Tracks) -> BoolArray:
+    """Whether each geodetic position can be one; true where there is none."""
+    return ~((np.abs(table.latitude_rad) > np.pi / 2) | (np.abs(table.longitude_rad) > np.pi))
+
+
 def _score(data: ByteArray, places: list[int], category: int, edition: str) -> float:
     """How well an edition fits the blocks at `places`: the share of blocks that add up, times that of plausible records."""
     layout = _layout_of({category: edition})
@@ -955,13 +1064,17 @@ def decode(
 
 
 def _decode_all(
-    buffer: ByteArray, state: DecodeState, begin: IntArray, receive_s: FloatArray, final: bool
+    buffer: ByteArray, state: DecodeState, begin: IntArray, receive_s: FloatArray, final: bool, framed: bool = False
 ) -> tuple[list[Records], DecodeState, int]:
-    """As `decode`, in parts; what begins at `begin` (k,) and after was received at `receive_s` (k,; NaN: not known)."""
+    """As `decode`, in parts; what begins at `begin` (k,) and after was received at `receive_s` (k,; NaN: not known).
+
+    `framed` says that the lengths of the blocks are right: they add up to those of their datagrams.
+    """
     parts: list[Records] = []
     consumed = 0
     while True:
-        records, state, used, go_on = _decode_some(buffer[consumed:], state, _Reception(begin - consumed, receive_s), final)
+        receive = _Reception(begin - consumed, receive_s)
+        records, state, used, go_on = _decode_some(buffer[consumed:], state, receive, final, framed)
         parts.append(records)
         consumed += used
         if not go_on:
@@ -1001,6 +1114,8 @@ def _join(parts: list[Records]) -> Records:
     site: dict[tuple[int, float, float, float], None] = {}
     damaged: list[Damage] = []
     clipped = truncated = 0
+    misplaced: Counter[int] = Counter()
+    impossible: Counter[str] = Counter()
     rows: dict[str, list[AnyArray]] = {name: [] for name in _ROW_COLUMNS}
     tables: dict[str, list[Any]] = {name: [] for name in ("plots", "fixes", "tracks", "marks")}
     for part in parts:
@@ -1010,6 +1125,8 @@ def _join(parts: list[Records]) -> Records:
         site |= dict.fromkeys(part.site)
         damaged += part.damaged
         clipped, truncated = clipped + part.clipped, truncated + part.truncated
+        misplaced.update(part.misplaced)
+        impossible.update(part.impossible)
         for name, columns in rows.items():
             columns.append(getattr(part, name))
         for name, found in tables.items():
@@ -1024,6 +1141,7 @@ def _join(parts: list[Records]) -> Records:
     return Records(
         **joined,
         site=tuple(site), damaged=tuple(damaged), unknown=unknown, clipped=clipped, truncated=truncated, notes=notes,
+        misplaced=misplaced, impossible=impossible,
     )  # fmt: skip
 
 
@@ -1044,7 +1162,9 @@ def _stack(kind: Any, tables: list[Any]) -> Any:
     return kind(**{name: np.concatenate(columns.pop(name)) for name in list(columns)})
 
 
-def _decode_some(data: ByteArray, state: DecodeState, receive: _Reception, final: bool) -> tuple[Records, DecodeState, int, bool]:
+def _decode_some(
+    data: ByteArray, state: DecodeState, receive: _Reception, final: bool, framed: bool
+) -> tuple[Records, DecodeState, int, bool]:
     """One table full of `decode`; the last value says whether there is more to do."""
     editions = dict(state.editions)
     layout = _layout_of(editions)
@@ -1075,6 +1195,10 @@ def _decode_some(data: ByteArray, state: DecodeState, receive: _Reception, final
                 # What was read is not read again.
                 continue
         passed = pos
+        if how == _STRANGE and framed:
+            unknown[data[pos]] += 1
+            pos = _end(data, pos)
+            continue
         if how == _STRANGE:
             passed = _pass_over(data, pos, final, layout.cats, layout.nodes, unknown, row, _CHAIN, _AHEAD)
             if passed > pos:
@@ -1084,7 +1208,7 @@ def _decode_some(data: ByteArray, state: DecodeState, receive: _Reception, final
         if how == _MORE and final:
             break
         if not waits:
-            found = _after_damage(data, pos, how, place, code, before, final, editions, row)
+            found = _after_damage(data, pos, how, place, code, before, final, framed, editions, row)
             waits = found is None
         if waits:
             # The block before waits too: whether it really ended there, only what follows can tell.
@@ -1116,8 +1240,9 @@ def _decode_some(data: ByteArray, state: DecodeState, receive: _Reception, final
 
 
 def _after_damage(
-    data: ByteArray, pos: int, how: int, place: int, code: int, before: int, final: bool, editions: dict[int, str], row: AnyArray
-) -> tuple[int, int, str] | None:
+    data: ByteArray, pos: int, how: int, place: int, code: int, before: int, final: bool, framed: bool, editions: dict[int, str],
+    row: AnyArray,
+) -> tuple[int, int, str] | None:  # fmt: skip
     """Where reading goes on after damage, where the damage is and what it is; None where only more data can tell."""
     end = _end(data, pos) if len(data) - pos >= 3 else pos + 3
     if how == _RECORD:
@@ -1130,9 +1255,10 @@ def _after_damage(
         why, end = f"no block begins here (category {int(data[pos])})", pos + 1
     else:
         why = f"the block fits no known edition of category {int(data[pos]):03d}"
-    # While an edition is not known, a block of any of its editions will do.
-    pending = [c for c in uap.INFERRED if c not in editions]
-    choices = [_layout_of(editions | {c: e}) for c in pending for e in uap.INFERRED[c]] or [_layout_of(editions)]
+    if framed:
+        lost = place if how == _RECORD else pos
+        return end, lost, f"{why}; {end - lost} bytes are skipped"
+    choices = _choices(editions)
     if before >= 0 and how in (_HEADER, _STRANGE, _RECORD):
         # Perhaps the block before is shorter than it says, and this is the middle of the next one.
         back = [_hidden(data, before + 1, pos, pos, True, final, c.cats, c.nodes, row) for c in choices]
@@ -1150,6 +1276,13 @@ def _after_damage(
     if resumed > lost:
         why += f"; {resumed - lost} bytes are skipped"
     return resumed, lost, why
+
+
+def _choices(editions: Mapping[int, str]) -> list[Layout]:
+    """The layouts that may hold: while an edition is not known, a block of any of its editions will do."""
+    pending = [c for c in uap.INFERRED if c not in editions]
+    known = dict(editions)
+    return [_layout_of(known | {c: e}) for c in pending for e in uap.INFERRED[c]] or [_layout_of(known)]
 
 
 @cache
@@ -1183,7 +1316,10 @@ def _assemble(
     heard = np.array([state.heard.get(int(s), np.nan) for s in ids])
     received = receive(start)
     rows = index.astype(np.int64)
-    latest = float(_unwrap(tod, period, rows, received, last, heard, state.latest_s, state.day * DAY_S, time_s))
+    doubted = np.array([state.doubted.get(int(s), np.nan) for s in ids])
+    latest = float(_unwrap(tod, period, rows, received, last, heard, doubted, state.latest_s, state.day * DAY_S, time_s))
+    doubts = {s: t for s, t in state.doubted.items() if s not in set(ids.tolist())}
+    doubts |= {int(s): float(t) for s, t in zip(ids, doubted, strict=True) if np.isfinite(t)}
     clocks = dict(state.heard) | {int(s): float(t) for s, t in zip(ids, heard, strict=True) if np.isfinite(t)}
     stamps = dict(state.stamps) | {int(s): float(t) for s, t in zip(ids, last, strict=True) if np.isfinite(t)}
     # Sites and notes, also of records that are not wanted.
@@ -1213,6 +1349,8 @@ def _assemble(
     tracks: list[Tracks] = []
     marks: list[Marks] = []
     clipped = 0
+    misplaced: Counter[int] = Counter()
+    impossible: Counter[str] = Counter()
     for form, edition, rows in groups:
         rows = rows[kept[rows]]
         slots = _slots(form, edition)
@@ -1220,7 +1358,8 @@ def _assemble(
             needs, wanted = uap.PLOTS[form]
             mine = rows[_has(items, rows, [slots[i] for i in needs])]
             columns, flags = _columns(data, start, items, mine, form, edition, wanted, True)
-            plots.append(Plots(time_s=time_s[mine], sensor=source[mine], flags=flags, record=number[mine], **_plots(columns)))
+            seen = Plots(time_s=time_s[mine], sensor=source[mine], flags=flags, record=number[mine], **_plots(columns))
+            plots.append(_possible(seen, impossible))
         if (form, uap.family(form, edition)) in uap.FIXES:
             needs, wanted = uap.FIXES[form, uap.family(form, edition)]
             mine = rows[_has(items, rows, [slots[i] for i in needs])]
@@ -1236,14 +1375,24 @@ def _assemble(
                     if transmission.any():
                         columns["time_sd_s"] = np.where(transmission, TRANSMISSION_SD_S, columns.get("time_sd_s", np.nan))
                 table = Fixes(time_s=time_s[mine], source=source[mine], flags=flags, record=number[mine], **columns)
+                there = _on_earth(table)
                 placed = np.isfinite(table.latitude_rad + table.longitude_rad) | np.isfinite(table.x_m + table.y_m)
                 clipped += int(np.count_nonzero(~placed))
-                fixes.append(table if placed.all() else table[placed])
+                if not there.all():
+                    misplaced[form] += int(np.count_nonzero(~there))
+                    placed &= there
+                fixes.append(_possible(table if placed.all() else table[placed], impossible))
         if (form, uap.family(form, edition)) in uap.TRACKS:
             needs, wanted = uap.TRACKS[form, uap.family(form, edition)]
             mine = rows[_has(items, rows, [slots[i] for i in needs])]
             columns, flags = _columns(data, start, items, mine, form, edition, wanted, True)
-            tracks.append(Tracks(time_s=time_s[mine], source=source[mine], flags=flags, record=number[mine], **_tracks(columns)))
+            state_of = Tracks(time_s=time_s[mine], source=source[mine], flags=flags, record=number[mine], **_tracks(columns))
+            there = _on_earth(state_of)
+            if not there.all():
+                misplaced[form] += int(np.count_nonzero(~there))
+                absent = {name: np.where(there, getattr(state_of, name), np.nan) for name in ("latitude_rad", "longitude_rad")}
+                state_of = state_of.replace(**absent)
+            tracks.append(_possible(state_of, impossible))
         if form in uap.MARKS:
             marks.append(_marks(data, start, items, rows, time_s, source, number, form, edition))
     digest = np.empty(n, np.int64)
@@ -1254,10 +1403,10 @@ def _assemble(
         marks=_ordered(Marks, marks), offset=start[rows] + state.offset, length=length[rows], category=category[rows],
         source=source[rows], time_s=time_s[rows], receive_s=received[rows], digest=digest[rows], site=tuple(site), damaged=(),
         unknown={}, clipped=clipped, truncated=int(np.count_nonzero((period > 0) & np.isfinite(tod) & np.isnan(time_s) & kept)),
-        notes=notes,
+        notes=notes, misplaced=misplaced, impossible=impossible,
     )  # fmt: skip
     return records, replace(
-        state, latest_s=latest, stamps=stamps, heard=clocks, editions=editions, records=state.records + len(rows)
+        state, latest_s=latest, stamps=stamps, heard=clocks, doubted=doubts, editions=editions, records=state.records + len(rows)
     )
 
 
@@ -1473,8 +1622,10 @@ class _Told:
     late: int = 0
     # Of each source: how often a stamp goes back, by how much at most, and the last stamp.
     back: dict[int, tuple[int, float, float]] = field(default_factory=dict)
-    # Of each category whose edition is inferred: positions that are not on Earth, and all of them.
+    # Of each category: positions that are not on Earth, and (where its edition is inferred) all of them.
     places: dict[int, tuple[int, int]] = field(default_factory=dict)
+    # Values that no target can have, by column.
+    impossible: Counter[str] = field(default_factory=Counter)
 
     def add(self, records: Records) -> None:
         """The next part."""
@@ -1502,10 +1653,12 @@ class _Told:
             for category in np.unique(sent).tolist():
                 if category not in uap.INFERRED:
                     continue
-                latitude, longitude = table.latitude_rad[sent == category], table.longitude_rad[sent == category]
                 wrong, known = self.places.get(category, (0, 0))
-                wrong += int(np.count_nonzero((np.abs(latitude) > np.pi / 2) | (np.abs(longitude) > np.pi)))
-                self.places[category] = wrong, known + int(np.count_nonzero(np.isfinite(latitude)))
+                self.places[category] = wrong, known + int(np.count_nonzero(np.isfinite(table.latitude_rad[sent == category])))
+        for category, count in records.misplaced.items():
+            wrong, known = self.places.get(category, (0, 0))
+            self.places[category] = wrong + count, known + count
+        self.impossible.update(records.impossible)
         self.records += len(records.offset)
 
     def remarks(self) -> list[str]:
@@ -1527,6 +1680,12 @@ class _Told:
             )
         if self.clipped:
             out.append(f"{self.clipped} positions are beyond what their item can hold: they are left out of the fixes")
+        for category, (wrong, _) in sorted(self.places.items()):
+            if wrong:
+                out.append(f"{wrong} positions of category {category:03d} are not on Earth: they are left out")
+        if self.impossible:
+            names = ", ".join(f"{_SAID[name]} ({count})" for name, count in self.impossible.items())
+            out.append(f"values that no target can have are left out: {names}")
         if self.untimed:
             out.append(f"{self.untimed} records have no time of day, or one beyond 24 hours: their time is not known")
         for source, (count, most, _) in sorted(self.back.items()):
@@ -1605,6 +1764,11 @@ class Reader:
                     buffer = _buffer(rest + here)
                     nothing = np.zeros(1, np.int64), np.array([np.nan])
                     parts, state, used = _decode_all(buffer, self.state, *nothing, not following)
+                    begin_s = _first_time(parts) if first else float("nan")
+                    if np.isfinite(begin_s):
+                        # The first stamp is damaged: it must not decide the day of all others.
+                        state = replace(self.state, latest_s=self.state.day * DAY_S + begin_s)
+                        parts, state, used = _decode_all(buffer, state, *nothing, not following)
                     if first and any(p.truncated for p in parts):
                         # What came ahead of the first full time of its source is completed from that one.
                         begin = _first_full_times(parts)
@@ -1631,17 +1795,25 @@ class Reader:
                 if not self.dated and own:
                     self.state = replace(self.state, day=int(own))
             received = received + (0.0 if np.isnan(shift) else shift)
-            if np.count_nonzero(~good) > _APART:
+            framed = int(np.count_nonzero(~good)) <= _APART
+            if not framed:
                 good[:] = True
-            stranger = ~good & ~known[portion.data[portion.begin]]
-            self.strange += int(np.count_nonzero(stranger))
             end = np.append(portion.begin[1:], len(portion.data))
-            for low, high, _ in runs(good):
+            stranger = ~good & ~known[portion.data[portion.begin]]
+            if stranger.any():
+                # Behind a damaged block there may be others.
+                whose = np.flatnonzero(stranger)
+                for layout in _choices(self.state.editions):
+                    row = np.zeros(_width(), np.uint16)
+                    stranger[whose] &= ~_end_well(portion.data, portion.begin[whose], end[whose], layout.cats, layout.nodes, row)
+            self.strange += int(np.count_nonzero(stranger))
+            for low, high, sound in runs(good):
                 if stranger[low]:
                     continue
                 begin = portion.begin[low:high]
                 buffer = _buffer(portion.data[begin[0] : end[high - 1]])
-                parts, state, _ = _decode_all(buffer, replace(self.state, offset=0), begin - begin[0], received[low:high], True)
+                here = replace(self.state, offset=0)
+                parts, state, _ = _decode_all(buffer, here, begin - begin[0], received[low:high], True, framed and sound)
                 self.state = state
                 place = portion.offset[low:high]
                 yield from (_moved(p, begin - begin[0], place) for p in parts)
@@ -1666,6 +1838,17 @@ class Reader:
         if unread:
             out.append(f"packets of link type {', '.join(unread)} cannot be read: they were passed over")
         return out
+
+
+def _first_time(parts: list[Records]) -> float:
+    """The first time of day (s) that goes with those that follow it, where the very first one does not; else NaN."""
+    known = [p.time_s[np.isfinite(p.time_s)] for p in parts]
+    tod = np.mod(np.concatenate([np.empty(0), *known])[:200], DAY_S)
+    apart = np.abs(tod[:, None] - tod)
+    alike = np.count_nonzero(np.minimum(apart, DAY_S - apart) <= _LEAP_S, axis=1)
+    if len(tod) < 8 or alike[0] > 0.1 * len(tod) or alike.max() < 0.5 * len(tod):
+        return float("nan")
+    return float(tod[np.argmax(alike >= 0.5 * len(tod))])
 
 
 def _first_full_times(parts: list[Records]) -> dict[int, float]:
@@ -1745,11 +1928,14 @@ def _check_editions(path: str | Path, data: ByteArray, given: Mapping[int, str])
 
 
 def _check_positions(path: str | Path, data: ByteArray, told: _Told, editions: Mapping[int, str]) -> None:
-    """Raise InputError where more than one position in a hundred is impossible: the edition must be another one."""
+    """Raise InputError where more than one position in a hundred is impossible and another edition fits, or where most are."""
     for category, edition in editions.items():
         wrong, known = told.places.get(category, (0, 0))
-        if wrong > 0.01 * max(1, known):
+        if category in uap.INFERRED and wrong > 0.01 * max(1, known):
             best, _ = _infer(data, _spread(data, category), category)
+            if uap.table_of(category, edition) == uap.table_of(category, best) and wrong <= 0.5 * known:
+                # A damaged file: what is right in it is of use.
+                continue
             raise _other_edition(path, category, edition, best, f"{wrong} of {known} positions are not on Earth")
 
 
@@ -1898,10 +2084,11 @@ def decode_items(data: bytes, editions: Mapping[int, str] | None = None) -> Iter
     known = {c: uap.default_edition(c) for c in uap.categories()} | dict(editions or {})
     layout = _layout_of(known)
     buffer = _buffer(data)
-    start, length, cats = np.empty(_ROWS, np.int64), np.empty(_ROWS, np.int64), np.empty(_ROWS, np.uint8)
+    room = min(_ROWS, len(buffer) // 3 + 1)
+    start, length, cats = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.uint8)
     pos = 0
     while pos < len(buffer):
-        items = np.zeros((_ROWS, layout.width), np.uint16)
+        items = np.zeros((room, layout.width), np.uint16)
         n, stop, how, *_ = _walk(buffer[pos:], 0, True, layout.cats, layout.nodes, start, length, cats, items)
         for i in range(n):
             begin, category = pos + int(start[i]), int(cats[i])

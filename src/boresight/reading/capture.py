@@ -8,7 +8,7 @@ split or has extension headers.  What does not belong is counted; what is damage
 from __future__ import annotations
 
 import struct
-from collections import Counter, OrderedDict
+from collections import Counter, OrderedDict, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,10 +30,14 @@ _PACKETS = 1 << 16
 _WAITING = 1024
 # Times of packets beyond the year 2200, or this far from those around them, are damaged.
 _LATEST, _APART_S = 7.26e9, 400 * 86400.0
+# A time is doubted where no more than so many of the packets around have one within an hour of it.
+_AROUND, _FEW, _NEAR_S = 8, 3, 3600.0
 # Bytes that are searched for where packets go on after damage.
 _SEARCH = 1 << 20
 # Ahead of its first block a GPS-stamped file has a header of this size, behind each block a trailer of that size.
 _GPS_HEADER, _GPS_TRAILER = 2200, 10
+# Times of stamped blocks that follow each other; how many bytes at the beginning of all trailers of a file are the same.
+_GPS_APART_S, _GPS_MARK = 60.0, 4
 _PAD = b"\xa5\xa5\xa5\xa5"
 # The header that some recorders put ahead of each message: its length with the header, and a time of day in ms.
 _HEADER = 6
@@ -101,15 +105,32 @@ def kind_of(head: bytes, size: int, known: frozenset[int]) -> str:
         return "pcap"
     if head[:4] == _SECTION.to_bytes(4, "big"):
         return "pcapng"
-    if len(head) >= 15:
-        length = int.from_bytes(head[:2], "big")
-        if 15 <= length <= size and (head[length - 4 : length] == _PAD or length > len(head)) and head[8] in known:
-            inner = int.from_bytes(head[9:11], "big")
-            if 3 <= inner <= length - 12 and int.from_bytes(head[5:8], "big") < 8_640_000:
-                return "final"
+    if len(head) >= 15 and (_is_final(head, size, known) or _final_later(head, known)):
+        return "final"
     if not _chained(head, 0, known) and _gps_begin(head, known) >= 0:
         return "gps"
     return "raw"
+
+
+def _is_final(head: bytes, size: int, known: frozenset[int]) -> bool:
+    """Whether a final-format record stands at the beginning."""
+    length = int.from_bytes(head[:2], "big")
+    if not (15 <= length <= size and (head[length - 4 : length] == _PAD or length > len(head)) and head[8] in known):
+        return False
+    inner = int.from_bytes(head[9:11], "big")
+    return 3 <= inner <= length - 12 and int.from_bytes(head[5:8], "big") < 8_640_000
+
+
+def _final_later(head: bytes, known: frozenset[int]) -> bool:
+    """Whether final-format records follow something else: one behind the padding of another, ending in its own padding."""
+    at = head.find(_PAD, 0, 1 << 16)
+    while at >= 0:
+        begin = at + len(_PAD)
+        length = int.from_bytes(head[begin : begin + 2], "big")
+        if length >= 15 and begin + length <= len(head) and _is_final(head[begin : begin + length], length, known):
+            return True
+        at = head.find(_PAD, begin, 1 << 16)
+    return False
 
 
 def _chained(data: bytes, at: int, known: frozenset[int]) -> bool:
@@ -169,11 +190,25 @@ def _u32(data: ByteArray, p: int, big: bool) -> int:
 
 
 @kernel
-def _frames(data: ByteArray, pos: int, big: bool, head: int, most: int, out: IntArray) -> tuple[int, int, int]:
-    """Walk packets from `pos` on; returns their number, where it stopped, and why (0 end, 1 no room, 2 damage, 3 section).
+def _packet(data: ByteArray, p: int, big: bool, most: int, ticks: int, near: int) -> int:
+    """Bytes captured of the packet whose header is at `p`, -1 where it cannot be one; with `near` >= 0 its time must be near."""
+    long, whole, fraction = _u32(data, p + 8, big), _u32(data, p + 12, big), _u32(data, p + 4, big)
+    if long > most or long > whole or whole > most or fraction >= ticks:
+        return -1
+    if near >= 0 and abs(_u32(data, p, big) - near) > 86400:
+        return -1
+    return long
 
-    With `head` (bytes of a packet's header) rows of `out` are: place of the frame, bytes captured, bytes of the packet, seconds,
-    fraction.  With 0 the blocks of pcapng are walked: place, length, kind.
+
+@kernel
+def _frames(
+    data: ByteArray, pos: int, big: bool, head: int, most: int, ticks: int, trusted: int, out: IntArray
+) -> tuple[int, int, int]:
+    """Walk packets from `pos` on; returns their number, where it stopped, and why.
+
+    Why: 0 end, 1 no room, 2 damage, 3 section, 4 what follows the packet is none, so that its length may be wrong (but for the
+    packet at `trusted`).  With `head` (bytes of a packet's header) rows of `out` are: place of the frame, bytes captured, bytes
+    of the packet, seconds, fraction.  With 0 the blocks of pcapng are walked: place, length, kind.
     """
     size, n = len(data), 0
     while True:
@@ -194,17 +229,42 @@ def _frames(data: ByteArray, pos: int, big: bool, head: int, most: int, out: Int
             out[n, 0], out[n, 1], out[n, 2] = pos, long, kind
             pos += long
         else:
-            long = _u32(data, pos + 8, big)
-            whole = _u32(data, pos + 12, big)
-            fraction = _u32(data, pos + 4, big)
-            if long > most or long > whole or fraction >= 1000000000:
+            long = _packet(data, pos, big, most, ticks, -1)
+            if long < 0:
                 return n, pos, 2
-            if pos + head + long > size:
+            end = pos + head + long
+            if end > size:
                 return n, pos, 0
-            out[n, 0], out[n, 1], out[n, 2] = pos + head, long, whole
-            out[n, 3], out[n, 4] = _u32(data, pos, big), fraction
-            pos += head + long
+            if pos != trusted and end + head <= size and _packet(data, end, big, most, ticks, -1) < 0:
+                return n, pos, 4
+            out[n, 0], out[n, 1], out[n, 2] = pos + head, long, _u32(data, pos + 12, big)
+            out[n, 3], out[n, 4] = _u32(data, pos, big), _u32(data, pos + 4, big)
+            pos = end
         n += 1
+
+
+@kernel
+def _next_packet(data: ByteArray, begin: int, end: int, big: bool, head: int, most: int, ticks: int, near: int) -> int:
+    """The first place from `begin` to `end` where a packet begins; -1: none.
+
+    Its time is near `near` (s; -1: not known) and that of the packet that follows it; where what follows is no packet, the time
+    has to do, and a length of its own that is no more than that of other packets.
+    """
+    size = len(data)
+    for p in range(begin, min(end, size - head + 1)):
+        long = _packet(data, p, big, most, ticks, near)
+        if long < 20:
+            continue
+        follows = p + head + long
+        if follows == size:
+            return p
+        if follows > size:
+            continue
+        if follows + head > size or _packet(data, follows, big, most, ticks, _u32(data, p, big)) >= 20:
+            return p
+        if near >= 0 and long <= 2048 and abs(_u32(data, p, big) - near) <= 600:
+            return p
+    return -1
 
 
 @kernel
@@ -239,53 +299,58 @@ def _pcap(path: str | Path, file: BinaryIO, tally: Tally) -> Iterator[Portion]:
     pieces = _Pieces(tally)
     rest, base = b"", 24
     stray = _Stray()
+    ticks = 1_000_000_000 if tick < 1e-6 else 1_000_001
+    trusted = -1
+    # The last times: the middle one is not led astray by one that is damaged.
+    recent: deque[int] = deque(maxlen=9)
     for chunk, final in _chunks(file):
         raw = rest + chunk
         data = np.frombuffer(raw, np.uint8)
         pos = 0
+        out, filled = np.empty((_PACKETS, 5), np.int64), 0
         while True:
-            out = np.empty((_PACKETS, 5), np.int64)
-            n, pos, why = _frames(data, pos, big, size, _LONGEST, out)
-            rows = out[:n]
-            seconds = rows[:, 3] + rows[:, 4] * tick
-            yield from _found(data, rows[:, 0], rows[:, 1], rows[:, 2], seconds, np.full(n, link), base, tally, pieces, stray)
-            if why == 2:
-                last = int(rows[-1, 3]) if n else -1
-                resumed = _next_packet(data, pos + 1, big, size, last)
-                tally.damaged.append(
-                    Damage(base + pos, f"no packet begins here (its length is impossible); {resumed - pos} bytes are skipped")
-                )
-                pos = resumed
-            elif why == 0:
+            n, pos, why = _frames(data, pos, big, size, _LONGEST, ticks, trusted, out[filled:])
+            filled += n
+            recent.extend(out[max(filled - n, filled - 9) : filled, 3].tolist())
+            last = sorted(recent)[len(recent) // 2] if recent else -1
+            if why == 1:
+                yield from _found_in(data, out, tick, link, base, tally, pieces, stray)
+                filled = 0
+                continue
+            if why == 4:
+                # Packets that begin within this one show that its length is wrong.
+                end = pos + size + _packet(data, pos, big, _LONGEST, ticks, -1)
+                resumed = _next_packet(data, pos + size, end, big, size, _LONGEST, ticks, last)
+                if resumed < 0:
+                    trusted = pos
+                    continue
+            elif why == 2 or (why == 0 and final and len(raw) - pos > size):
+                resumed = _next_packet(data, pos + 1, pos + _SEARCH, big, size, _LONGEST, ticks, last)
+                if resumed < 0:
+                    # Perhaps it was the time of those ahead that was damaged.
+                    resumed = _next_packet(data, pos + 1, pos + _SEARCH, big, size, _LONGEST, ticks, -1)
+                if resumed < 0 and why == 0:
+                    break
+                resumed = min(len(raw), pos + _SEARCH) if resumed < 0 else resumed
+            else:
                 break
-        rest, base = raw[pos:], base + pos
+            tally.damaged.append(Damage(base + pos, f"no packet of that length begins here; {resumed - pos} bytes are skipped"))
+            pos = resumed
+        yield from _found_in(data, out[:filled], tick, link, base, tally, pieces, stray)
+        rest, base, trusted = raw[pos:], base + pos, -1
         if final and rest:
             tally.damaged.append(Damage(base, f"the capture ends within a packet: {len(rest)} bytes are left of it"))
     yield from pieces.finish()
     stray.check(path, tally)
 
 
-def _next_packet(data: ByteArray, begin: int, big: bool, head: int, last: int) -> int:
-    """Where packets go on: the first plausible header that another one follows, else what was searched is skipped."""
-    end = min(len(data), begin + _SEARCH)
-    places = np.arange(begin, max(begin, end - head))
-    if not len(places):
-        return len(data)
-    word = [_words(data, places + 4 * k, big) for k in range(4)]
-    good = (word[2] > 0) & (word[2] <= word[3]) & (word[3] < _LONGEST) & (word[1] < 1_000_000_000)
-    if last >= 0:
-        good &= np.abs(word[0] - last) <= 86400
-    for place, length in zip(places[good].tolist(), word[2][good].tolist(), strict=True):
-        follows = place + head + length
-        if follows == len(data):
-            return int(place)
-        if follows + 16 <= len(data):
-            there = np.array([follows])
-            one, two = int(_words(data, there + 8, big)[0]), int(_words(data, there + 12, big)[0])
-            near = abs(int(_words(data, there, big)[0]) - int(_words(data, np.array([place]), big)[0])) <= 86400
-            if one <= two < _LONGEST and near:
-                return int(place)
-    return end
+def _found_in(
+    data: ByteArray, rows: IntArray, tick: float, link: int, base: int, tally: Tally, pieces: _Pieces, stray: _Stray
+) -> Iterator[Portion]:
+    """The datagrams of the rows that `_frames` filled."""
+    seconds = rows[:, 3] + rows[:, 4] * tick
+    links = np.full(len(rows), link)
+    yield from _found(data, rows[:, 0], rows[:, 1], rows[:, 2], seconds, links, base, tally, pieces, stray)
 
 
 def _words(data: ByteArray, at: IntArray, big: bool) -> IntArray:
@@ -319,19 +384,14 @@ def _pcapng(path: str | Path, file: BinaryIO, tally: Tally) -> Iterator[Portion]
         raw = rest + chunk
         data = np.frombuffer(raw, np.uint8)
         pos = 0
+        out, filled = np.empty((_PACKETS, 5), np.int64), 0
         while True:
-            out = np.empty((_PACKETS, 5), np.int64)
-            n, stop, why = _frames(data, pos, big, 0, _LONGEST << 4, out)
-            blocks = out[:n]
-            # Blocks between descriptions of interfaces are taken together.
-            described = np.flatnonzero(blocks[:, 2] == 1)
-            low = 0
-            for high in [*described.tolist(), n]:
-                yield from _blocks(data, blocks[low:high], big, interfaces, base, tally, pieces, stray)
-                if high < n:
-                    interfaces.append(_interface(raw, int(blocks[high, 0]), int(blocks[high, 1]), big))
-                low = high
+            n, stop, why = _frames(data, pos, big, 0, _LONGEST << 4, 0, -1, out[filled:])
+            filled += n
             pos = stop
+            if why in (1, 3):
+                yield from _sections(raw, data, out[:filled], big, interfaces, base, tally, pieces, stray)
+                filled = 0
             if why == 3:
                 order = raw[pos + 8 : pos + 12]
                 if len(order) < 4:
@@ -346,19 +406,35 @@ def _pcapng(path: str | Path, file: BinaryIO, tally: Tally) -> Iterator[Portion]
                         pos += length
                         continue
                 why = 2
-            if why == 2:
-                resumed = _next_block(raw, pos + 4, big)
+            if why == 2 or (why == 0 and final and len(raw) - pos > 12):
+                resumed = _next_block(raw, pos + 1, big)
+                if why == 0 and resumed in (len(raw), pos + 1 + _SEARCH):
+                    break
                 tally.damaged.append(
                     Damage(base + pos, f"no block of the capture begins here; {resumed - pos} bytes are skipped")
                 )
                 pos = resumed
             elif why == 0:
                 break
+        yield from _sections(raw, data, out[:filled], big, interfaces, base, tally, pieces, stray)
         rest, base = raw[pos:], base + pos
         if final and rest:
             tally.damaged.append(Damage(base, f"the capture ends within a block: {len(rest)} bytes are left of it"))
     yield from pieces.finish()
     stray.check(path, tally)
+
+
+def _sections(
+    raw: bytes, data: ByteArray, blocks: IntArray, big: bool, interfaces: list[_Interface], base: int, tally: Tally,
+    pieces: _Pieces, stray: _Stray,
+) -> Iterator[Portion]:  # fmt: skip
+    """The datagrams of the rows that `_frames` filled; those between descriptions of interfaces are taken together."""
+    low = 0
+    for high in [*np.flatnonzero(blocks[:, 2] == 1).tolist(), len(blocks)]:
+        yield from _blocks(data, blocks[low:high], big, interfaces, base, tally, pieces, stray)
+        if high < len(blocks):
+            interfaces.append(_interface(raw, int(blocks[high, 0]), int(blocks[high, 1]), big))
+        low = high
 
 
 def _next_block(raw: bytes, begin: int, big: bool) -> int:
@@ -482,6 +558,7 @@ def _found(
     strange = np.isfinite(seconds) & ((seconds < 0) | (seconds > _LATEST))
     if len(known):
         strange |= np.abs(seconds - np.median(known)) > _APART_S
+        strange |= _astray(np.where(strange, np.nan, seconds))
     if strange.any():
         tally.untimed += int(np.count_nonzero(strange))
         seconds = np.where(strange, np.nan, seconds)
@@ -538,6 +615,28 @@ def _found(
             yield from _joined(joined, float(seconds[k]), tally)
     run = np.arange(low, n)[use[low:]]
     yield from _portion(data, place[run], length[run], seconds[run], base, tally)
+
+
+def _astray(seconds: FloatArray) -> BoolArray:
+    """Which times stand alone: hardly any packet around has one like it, and it is out of order or more than a day apart."""
+    known = np.flatnonzero(np.isfinite(seconds))
+    out = np.zeros(len(seconds), bool)
+    time_s = seconds[known]
+    if len(time_s) < 2 * _AROUND or not (np.abs(np.diff(time_s)) > _NEAR_S).any():
+        return out
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(time_s, _AROUND, constant_values=np.nan), 2 * _AROUND + 1)
+    alone = np.count_nonzero(np.abs(around - time_s[:, None]) <= _NEAR_S, axis=1) <= _FEW
+    if alone.all():
+        return out
+    good = np.flatnonzero(~alone)
+    place = np.searchsorted(good, np.flatnonzero(alone))
+    before, after = time_s[good[np.maximum(place - 1, 0)]], time_s[good[np.minimum(place, len(good) - 1)]]
+    mine = time_s[alone]
+    outside = (mine < np.minimum(before, after) - _NEAR_S) | (mine > np.maximum(before, after) + _NEAR_S)
+    inner = (place > 0) & (place < len(good))
+    apart = np.minimum(np.abs(mine - before), np.abs(mine - after)) > 86400.0
+    out[known[alone]] = (outside & inner) | apart
+    return out
 
 
 def _network(data: ByteArray, frame: IntArray, end: IntArray, links: IntArray) -> tuple[IntArray, IntArray]:
@@ -685,10 +784,12 @@ class _Pieces:
 
 def _stamped(file: BinaryIO, tally: Tally, kind: str, known: frozenset[int]) -> Iterator[Portion]:
     """Final format and GPS-stamped blocks.  Their stamps are times of day: midnight is taken where they fall by half a day."""
-    base = 0
+    base, mark = 0, b""
     if kind == "gps":
-        base = max(_gps_begin(file.read(1 << 16), known), 0)
+        head = file.read(1 << 16)
+        base = max(_gps_begin(head, known), 0)
         file.seek(base)
+        mark = _gps_mark(head, base)
     one = _final_record if kind == "final" else _gps_record
     rest, latest, day = b"", float("nan"), 0.0
     for chunk, final in _chunks(file):
@@ -698,7 +799,7 @@ def _stamped(file: BinaryIO, tally: Tally, kind: str, known: frozenset[int]) -> 
         stamps: list[float] = []
         pos = 0
         while pos < len(raw):
-            begin, length, end, stamp = one(raw, pos, final, known)
+            begin, length, end, stamp = one(raw, pos, final, known, latest, mark)
             if end < 0:
                 break
             if length < 0:
@@ -725,7 +826,9 @@ def _stamped(file: BinaryIO, tally: Tally, kind: str, known: frozenset[int]) -> 
         tally.damaged.append(Damage(base, f"the file ends within a record: {len(rest)} bytes are left of it"))
 
 
-def _final_record(raw: bytes, pos: int, final: bool, known: frozenset[int]) -> tuple[int, int, int, float]:
+def _final_record(
+    raw: bytes, pos: int, final: bool, known: frozenset[int], latest: float, mark: bytes
+) -> tuple[int, int, int, float]:
     """(begin, length, end, time of day) of a final-format record; end -1: more is needed; length -1: none begins here."""
     if len(raw) - pos >= 2:
         end = pos + int.from_bytes(raw[pos : pos + 2], "big")
@@ -742,25 +845,74 @@ def _final_record(raw: bytes, pos: int, final: bool, known: frozenset[int]) -> t
     return 0, 0, -1, 0.0
 
 
-def _gps_record(raw: bytes, pos: int, final: bool, known: frozenset[int]) -> tuple[int, int, int, float]:
-    """The same for a block and its trailer of ten bytes, which has the time of day in 1/128 s from its seventh."""
-    if len(raw) - pos < 3:
+def _gps_mark(head: bytes, base: int) -> bytes:
+    """How all trailers begin; nothing where the first ones differ."""
+    one, _ = _gps_stamp(head, base)
+    two, _ = _gps_stamp(head, max(one, 0))
+    mark = head[one - _GPS_TRAILER : one - _GPS_TRAILER + _GPS_MARK] if one > 0 else b""
+    return mark if two > 0 and head[two - _GPS_TRAILER : two - _GPS_TRAILER + _GPS_MARK] == mark else b""
+
+
+def _gps_stamp(raw: bytes, place: int) -> tuple[int, float]:
+    """(end, time of day) of a block at `place` with its trailer, which has that time in 1/128 s from its seventh byte.
+
+    The end is 0 where there can be none, -1 where more is needed to know.
+    """
+    if len(raw) - place < 3:
+        return -1, 0.0
+    length = int.from_bytes(raw[place + 1 : place + 3], "big")
+    end = place + length + _GPS_TRAILER
+    if length < 5:
+        return 0, 0.0
+    if end > len(raw):
+        return -1, 0.0
+    stamp = int.from_bytes(raw[end - 4 : end - 1], "big") / 128.0
+    return (end, stamp) if stamp < 86400 else (0, 0.0)
+
+
+def _gps_block(raw: bytes, place: int, final: bool, known: frozenset[int], latest: float, mark: bytes) -> tuple[int, float]:
+    """As `_gps_stamp`, for what is a stamped block.
+
+    Its trailer begins as the last one did (`mark`), with a time near that one's; or it goes so with the one that follows.
+    """
+    end, stamp = _gps_stamp(raw, place)
+    if end <= 0:
+        return (0 if final else end), stamp
+    own = raw[end - _GPS_TRAILER : end - _GPS_TRAILER + len(mark)]
+    if mark and raw.find(mark, place, end - _GPS_TRAILER) >= 0:
+        # A length that is wrong ends at the trailer of another block.
+        return 0, stamp
+    near = not _apart_s(stamp, latest) > _GPS_APART_S
+    if own == mark and (near or (end == len(raw) and final)):
+        return end, stamp
+    follows, then = _gps_stamp(raw, end)
+    if follows < 0 and not final:
+        return -1, stamp
+    if follows <= 0 or raw[place] not in known or raw[end] not in known or _apart_s(stamp, then) > _GPS_APART_S:
+        return 0, stamp
+    return (end, stamp) if raw[follows - _GPS_TRAILER : follows - _GPS_TRAILER + len(mark)] == own else (0, stamp)
+
+
+def _apart_s(a: float, b: float) -> float:
+    """How far two times of day are apart."""
+    apart = abs(a - b)
+    return min(apart, 86400.0 - apart)
+
+
+def _gps_record(
+    raw: bytes, pos: int, final: bool, known: frozenset[int], latest: float, mark: bytes
+) -> tuple[int, int, int, float]:
+    """The same for a block with its trailer; what is damaged ends where the next one begins."""
+    stop = min(len(raw), pos + (1 << 17))
+    for place in range(pos, stop):
+        end, stamp = _gps_block(raw, place, final, known, latest, mark)
+        if end < 0:
+            return (0, 0, -1, 0.0) if place == pos else (0, -1, place, 0.0)
+        if end:
+            return (place, end - _GPS_TRAILER - place, end, stamp) if place == pos else (0, -1, place, 0.0)
+    if final and stop == len(raw):
         return 0, 0, -1, 0.0
-    for place in range(pos, min(len(raw) - 2, pos + (1 << 17))):
-        end = place + int.from_bytes(raw[place + 1 : place + 3], "big")
-        if raw[place] not in known or end < place + 5:
-            continue
-        follows = end + _GPS_TRAILER
-        if follows > len(raw):
-            if not final:
-                return (0, 0, -1, 0.0) if place == pos else (0, -1, place, 0.0)
-            continue
-        stamp = int.from_bytes(raw[end + 6 : end + 9], "big") / 128.0
-        if stamp < 86400 and (follows == len(raw) or raw[follows] in known):
-            return (place, end - place, follows, stamp) if place == pos else (0, -1, place, 0.0)
-    if final and pos + (1 << 17) >= len(raw):
-        return 0, 0, -1, 0.0
-    return 0, -1, min(len(raw), pos + (1 << 17)), 0.0
+    return 0, -1, stop, 0.0
 
 
 def whole(data: ByteArray, begin: IntArray) -> BoolArray:
