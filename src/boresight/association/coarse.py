@@ -67,14 +67,14 @@ def coarse(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names) -> 
         strong = links.kind < identity.MODE_3A
         if np.any(strong):
             peak, compared = _by_identity(scene, tracks, links.track[strong], links.target[strong])
-            if compared and peak.tracks >= max(1, 0.4 * compared) and not _at_edge(peak, scene.window):
+            if compared and peak.tracks >= max(1, 0.4 * compared) and not _at_edge(peak, scene):
                 named = _bias(scene, peak, "identity", compared, np.nan)
                 # One or two tracks may carry a wrong address: where others could contradict them, they are heard.
                 if compared >= 3 or len(np.unique(units.unit)) < 2 * compared:
                     return named, said
             elif compared:
                 why = f"only {peak.tracks} of them agree on the biases"
-                if _at_edge(peak, scene.window):
+                if _at_edge(peak, scene):
                     why = "the time bias on which they agree lies at the edge of the window or beyond"
                 said.append(f"{scene.sensor.name}: identity pairs {compared} tracks, but {why}")
     needed = _FEWEST_PLOTS if _single(tracks, units) else scene.settings.min_tracks
@@ -90,7 +90,7 @@ def coarse(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names) -> 
             continue
         if width > 1.0:
             peak = hough.bent(ballots[0], scene.window, peak.bias, width)
-        if peak.tracks >= needed and not _at_edge(peak, scene.window):
+        if peak.tracks >= needed and not _at_edge(peak, scene):
             return _bias(scene, peak, "geometry", looked_at, outcome[-1][1]), said
     peak, chance = outcome[0]
     if named is not None:
@@ -103,9 +103,15 @@ def _bias(scene: Scene, peak: Peak, by: str, tracks: int, chance: float) -> Coar
     return CoarseBias(sensor=who.key, name=who.name, by=by, score=peak.score, tracks=tracks, chance=chance, **peak.bias._asdict())
 
 
-def _at_edge(peak: Peak, window: Window) -> bool:
-    """Whether the time bias lies at the edge of its window: the true one may be anywhere beyond."""
-    return window.time_s > 0 and abs(peak.bias.time_s) >= 0.98 * window.time_s
+def _at_edge(peak: Peak, scene: Scene) -> bool:
+    """Whether the time bias lies at the edge of its window: the true one may be anywhere beyond.
+
+    Not of ships: the echo of a long slow one lies as far from the middle of its hull as it sails in ten seconds, so the edge tells
+    nothing of the clocks.  Registration, which knows the lengths, tells the two apart.
+    """
+    if scene.sensor.kind == "marine":
+        return False
+    return scene.window.time_s > 0 and abs(peak.bias.time_s) >= 0.98 * scene.window.time_s
 
 
 def span_of(scene: Scene, tracks: tracklets.Tracklets) -> tuple[FloatArray, FloatArray]:
