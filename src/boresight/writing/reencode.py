@@ -173,6 +173,12 @@ def reencode(original: Original, corrected: Plots, out: str | Path) -> Reencoded
                     _renew_checksums(original, np.sort(original.offset[done]), source, target)
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror or error})", path=original.path) from error
+    notes = [f"{count:,} records {text}" for text, count in tally.notes.items()]
+    timed = np.flatnonzero(np.isfinite(plots.time_s) & np.isfinite(corrected.time_s))[:1]
+    days = [np.floor(table.time_s[timed] / DAY_S).astype(np.int64).tolist() for table in (plots, corrected)]
+    if days[0] != days[1] and done[timed].any():
+        date = datetime.date(1970, 1, 1) + datetime.timedelta(days=days[1][0])
+        notes.append(f"the first plot is of {date} now: that is the date (--date) of the corrected recording")
     if len(plots) - len(order):
         tally.left["have nothing to correct: the calibration is not of their radar or channel"] = len(plots) - len(order)
     if original.records - len(plots):
@@ -186,7 +192,7 @@ def reencode(original: Original, corrected: Plots, out: str | Path) -> Reencoded
         changed=int(np.count_nonzero(done)),
         left=tally.left,
         rounding=tally.rounding(),
-        notes=tuple(f"{count:,} records {text}" for text, count in tally.notes.items()),
+        notes=tuple(notes),
     )
 
 
