@@ -291,6 +291,10 @@ def test_never_across_a_gap_and_never_beyond_half_an_update() -> None:
 def test_the_gap_limit_follows_the_update_rate() -> None:
     for update, limit in ((0.5, 3.0), (1.0, 4.0), (4.0, 16.0), (10.0, 20.0)):
         assert alignment.trajectories(_straight(np.arange(0, 200, update))).max_gap_s == pytest.approx([limit])
+    for update, limit in ((2.0, 8.0), (10.0, 40.0), (30.0, 120.0), (180.0, 120.0)):
+        fixes = _straight(np.arange(0, 900, update))
+        ship = fixes.replace(mmsi=np.full(len(fixes), 224000001), mode_s=np.full(len(fixes), -1))
+        assert alignment.trajectories(ship).max_gap_s == pytest.approx([limit])
 
 
 def test_unknown_targets_and_lone_fixes_are_invalid_not_errors() -> None:

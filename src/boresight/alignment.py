@@ -473,7 +473,8 @@ def trajectories(fixes: Fixes, *, method: str = "smooth", max_gap_s: float | Non
 
     `fixes` are geodetic with heights (as `locate` makes them); others are counted as unusable.  Equal stamps are averaged;
     jumps that no target can make (400 m/s, on the ground 120 m/s, plus the sd) and lone spikes are dropped.  Nothing is
-    interpolated over `max_gap_s` (default: 4 median updates, at least 3 s and at most 20 s).
+    interpolated over `max_gap_s` (default: 4 median updates, at least 3 s and at most 20 s, of ships
+    120 s).
 
     Velocity and acceleration come from quadratics fitted over windows of 2 to 16 s on either side, for each fix the widest that
     agrees with the narrower ones (intersection of confidence intervals), with the reported velocity where that is good.
@@ -521,7 +522,9 @@ def trajectories(fixes: Fixes, *, method: str = "smooth", max_gap_s: float | Non
         k = len(row)
         lane_start = np.searchsorted(lane, np.arange(len(lane_key) + 1)).astype(np.int64)
         update = _median_update(lane_start, time)
-        gap = np.full(len(update), max_gap_s) if max_gap_s is not None else np.clip(4 * update, 3.0, 20.0)
+        # Ships do in two minutes what aircraft do in twenty seconds, and small ones report every half minute.
+        longest = np.where(np.bincount(lane, fixes.mmsi[row] >= 0, len(lane_key)) > 0, 120.0, 20.0)
+        gap = np.full(len(update), max_gap_s) if max_gap_s is not None else np.clip(4 * update, 3.0, longest)
         gap = np.where(np.isfinite(gap), gap, 3.0)
         new = np.r_[True, (np.diff(lane) != 0) | (np.diff(time) > gap[lane[1:]])] if k else np.empty(0, bool)
         segment = np.cumsum(new).astype(np.int64) - 1

@@ -106,8 +106,8 @@ def _bias(scene: Scene, peak: Peak, by: str, tracks: int, chance: float) -> Coar
 def _at_edge(peak: Peak, scene: Scene) -> bool:
     """Whether the time bias lies at the edge of its window: the true one may be anywhere beyond.
 
-    Not of ships: the echo of a long slow one lies as far from the middle of its hull as it sails in ten seconds, so the edge tells
-    nothing of the clocks.  Registration, which knows the lengths, tells the two apart.
+    Not of ships: the echo of a long slow one lies as far from the middle of its hull as it sails in ten seconds, so the edge
+    tells nothing of the clocks.  Registration, which knows the lengths, tells the two apart.
     """
     if scene.sensor.kind == "marine":
         return False
