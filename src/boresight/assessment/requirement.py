@@ -330,16 +330,27 @@ _TOGETHER = "only {:.0%} of the plots are of channel {}, and the {} was estimate
 
 def _term(calibration: Calibration, s: Summary, figure: Figure, share: float) -> Sequence[_Measured]:
     """The term by its interval; the figure's channels make up `share` of the plots."""
+    mine = [k for k, key in enumerate(calibration.terms) if key.sensor == s.sensor and key.name == figure.quantity]
+    shared = [k for k in mine if calibration.terms[k].channel == "all"]
+    apart = [k for k in mine if calibration.terms[k].channel != "all"]
+    half = calibration.interval(figure.confidence)[-1, :, 1] - calibration.value[-1]
     out = []
-    for k, key in enumerate(calibration.terms):
-        mine = key.channel == "all" or not figure.channels or key.channel in figure.channels
-        if key.sensor == s.sensor and key.name == figure.quantity and mine:
-            label = key.name if key.channel == "all" else f"{key.name} ({key.channel})"
-            if key.channel == "all" and share < _HARDLY:
-                out.append(_Measured(label, why=_TOGETHER.format(share, " or ".join(figure.channels), "error")))
-                continue
-            low, high = calibration.interval(figure.confidence)[-1, k]
-            out.append(_Measured(label, float(calibration.value[-1, k]), float(low), float(high)))
+    for own in [*([None] if shared else []), *apart]:
+        channel = "all" if own is None else calibration.terms[own].channel
+        if figure.channels and own is not None and channel not in figure.channels:
+            continue
+        if own is None and any(calibration.terms[k].channel in figure.channels for k in apart):
+            continue
+        label = figure.quantity if own is None else f"{figure.quantity} ({channel})"
+        if own is None and share < _HARDLY:
+            out.append(_Measured(label, why=_TOGETHER.format(share, " or ".join(figure.channels), "error")))
+            continue
+        # A channel's own error comes on top of what all share.
+        parts = [*shared, *([] if own is None else [own])]
+        value = float(calibration.value[-1, parts].sum())
+        sd = math.sqrt(max(float(calibration.covariance[-1][np.ix_(parts, parts)].sum()), 0.0))
+        wide = sd * float(half[parts[0]] / calibration.sd[-1, parts[0]]) if sd > 0 else 0.0
+        out.append(_Measured(label, value, value - wide, value + wide))
     if out:
         return out
     why = next((n.why for n in calibration.not_determined if n.sensor == s.sensor and n.term == figure.quantity), None)
