@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from .._types import FloatArray, IntArray
+from .._types import FloatArray
 from .drawing import (
     AFTER,
     AFTER_LIGHT,
@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from ..assessment.psr_ssr import PsrSsr
     from ..assessment.residuals import Residuals
     from ..calibration import Choice, Share, Verdict
+    from ..heights import HeightProfile
     from ..model import Platform, Plots, Sensor
     from .evidence import Clock
 
@@ -302,7 +303,8 @@ def _box(edge: str, face: str, hatch: str) -> Any:
 
 def choice_figure(choices: Sequence[Choice], criterion: str, name: str) -> Drawing | None:
     """The way to the model: by how much each step changed the criterion, with twice its standard error."""
-    steps = [c for c in choices if np.isfinite(c.change)]
+    numbered = [(k, c) for k, c in enumerate(choices, 1) if np.isfinite(c.change)]
+    steps = [c for _, c in numbered]
     if not steps:
         return None
     change = np.array([c.change for c in steps])
@@ -314,7 +316,7 @@ def choice_figure(choices: Sequence[Choice], criterion: str, name: str) -> Drawi
         axes.errorbar(
             change, at, xerr=2 * sd, linestyle="none", marker="o", markersize=4.5, color=AFTER, elinewidth=1.2, capsize=2.5
         )
-        axes.set_yticks(at, [f"{k + 1}. {c.action} {term_label(c.term)}" for k, c in enumerate(steps)])
+        axes.set_yticks(at, [f"{k}. {c.action} {term_label(c.term)}" for k, c in numbered])
         axes.set_ylim(len(steps) - 0.4, -0.6)
         axes.set_xlim(*limits_of(change - 2 * sd, change + 2 * sd))
         axes.set_xlabel(f"change of the criterion ({criterion}; negative: better)" if criterion else "change of the criterion")
@@ -484,47 +486,43 @@ def _around(values: FloatArray) -> tuple[float, float]:
     return (low, high) if high - low > 1e-6 else (low - 1.0, high + 1.0)
 
 
-def height_figure(
-    level_m: FloatArray, difference_m: FloatArray, sd_m: FloatArray, number: IntArray, name: str, *, hour: IntArray | None = None
-) -> Drawing | None:
-    """Geometric minus pressure height by level: medians with their sd, and how many heights each is from.
-
-    Arrays are (n,); with `hour` (hours since 1970) each hour is a line of its own.
-    """
-    good = np.isfinite(level_m) & np.isfinite(difference_m) & (number > 0)
-    if not good.any():
+def height_figure(profile: HeightProfile, name: str) -> Drawing | None:
+    """Geometric minus pressure height by level, hour by hour, with its sd, and how many targets told it."""
+    hours = np.unique(profile.hour).tolist()
+    told = np.array([profile.n[profile.hour == hour].sum() for hour in hours])
+    if not len(profile) or not told.sum():
         return None
-    hours = np.unique(hour[good]).tolist() if hour is not None else [None]
+    # Four hours are as many as can be told apart: those that begin, end and stand between.
+    chosen = np.linspace(0, len(hours) - 1, min(len(hours), len(_SERIES))).round().astype(int)
+    hours = [hours[k] for k in chosen.tolist()]
+    levels = profile.level_m[profile.n > 0]
+    top = float(levels.max()) + 1000.0
     with style(name):
-        figure, (row,) = axes_grid(1, 2, 3.6, top=0.45, bottom=0.48, left=0.85, gap=(0.75, 0))
+        figure, (row,) = axes_grid(1, 2, 3.8, top=0.45, bottom=0.48, gap=(0.75, 0))
         entries = []
-        for k, one in enumerate(hours):
-            mine = np.flatnonzero(good & (hour == one)) if hour is not None and one is not None else np.flatnonzero(good)
-            mine = mine[np.argsort(level_m[mine], kind="stable")]
-            colour, marker = _SERIES[k % len(_SERIES)]
-            row[0].errorbar(
-                difference_m[mine], level_m[mine] / 1e3, xerr=np.where(np.isfinite(sd_m[mine]), sd_m[mine], 0.0), color=colour,
-                marker=marker, markersize=3.8, linewidth=1.2, elinewidth=1.0, capsize=2,
-            )  # fmt: skip
-            row[1].plot(number[mine], level_m[mine] / 1e3, color=colour, marker=marker, markersize=3.8, linewidth=1.0)
-            if one is not None and len(hours) <= 6:
-                entries.append((dot(colour, marker), f"{one % 24:02d}:00 UTC"))
+        for hour, (colour, marker) in zip(hours, _SERIES, strict=False):
+            mine = np.flatnonzero((profile.hour == hour) & (profile.level_m <= top))
+            difference, sd, level = profile.difference_m[mine], profile.sd_m[mine], profile.level_m[mine] / 1e3
+            row[0].fill_betweenx(level, difference - sd, difference + sd, color=colour, alpha=0.15, linewidth=0)
+            row[0].plot(difference, level, color=colour, marker=marker, markersize=3.6, linewidth=1.3)
+            row[1].plot(profile.n[mine], level, color=colour, marker=marker, markersize=3.6, linewidth=1.0)
+            entries.append((dot(colour, marker), f"{hour % 24:02d}:00 UTC"))
         row[0].axvline(0, color=INK, linewidth=0.7)
         row[0].set_xlabel("geometric − pressure height (m), ± 1 sd")
         row[0].set_ylabel("pressure height (km)")
-        row[0].set_ylim(bottom=min(0.0, float(level_m[good].min()) / 1e3))
-        row[1].set_ylim(row[0].get_ylim())
-        row[1].set_xlabel("heights that tell it")
+        row[1].set_xlabel("targets that tell it")
         row[1].set_xlim(left=0)
-        if entries:
-            legend(figure, entries)
+        for axes in row:
+            axes.set_ylim(min(0.0, float(levels.min()) / 1e3) - 0.2, top / 1e3)
+        legend(figure, entries)
         svg = to_svg(figure, name)
     caption = (
-        "What the pressure altitudes of Mode C are off by: height above the ellipsoid less pressure altitude, as the traffic "
-        "itself "
-        "tells it by level. It is added to every pressure altitude, with its sd."
+        "What pressure altitudes are off by: height above the ellipsoid less pressure altitude by level and hour, as the "
+        f"{count_text(profile.targets)} targets tell it that send both. It is added to heights that tell only the pressure; of "
+        "one "
+        f"target, {profile.spread_m:.0f} m (sd) remain, which are its altimeter's."
     )
-    return Drawing(name, svg, caption, "Geometric minus pressure height by level")
+    return Drawing(name, svg, caption, "Geometric minus pressure height by level and hour")
 
 
 # ------------------------------------------------------------------------------------------------------------- comparison

@@ -362,8 +362,8 @@ def length_text(metres: float) -> str:
 
 
 def term_label(name: str) -> str:
-    """The name of a term as people read it: ``range_bias`` is "range bias"."""
-    return name.replace("_", " ")
+    """The name of a term as people read it: ``range_bias@psr`` is "range bias (psr)"."""
+    return re.sub(r"@(\w+)", r" (\1)", name).replace("_", " ")
 
 
 def degree_text(value_rad: float, step_min: float, hemispheres: str) -> str:

@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ import numpy as np
 from .._files import write_text
 from .._types import FloatArray
 from ..model import Channel
-from ..terms import TERMS, Geometry
+from ..terms import TERMS, Geometry, table_of, term_of
 from . import charts, figures
 from .drawing import MAX_PAIRS, Drawing, group_quantiles, sample, term_label
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ..assessment.residuals import Residuals
     from ..association import Association
     from ..calibration import Calibration, Summary, TermKey, Verdict
+    from ..heights import HeightProfile
     from ..model import Sensors
     from .evidence import Clock, Evidence
 
@@ -133,20 +134,21 @@ def write_report(
     reference: Sequence[str] = (),
     evidence: Evidence | None = None,
     conformity: Sequence[Conformity] = (),
+    heights: HeightProfile | None = None,
 ) -> Path:
     """Write the report of a calibration as one self-contained HTML file, and return its path.
 
     `truth` holds the true values of a simulated scene, sensor name -> term -> value in the term's unit.  `warnings` come on
     top of the calibration's own.  `association` gives the plots not used and the coarse biases.  `targets` names the targets
     (number -> address or callsign); `reference` are the paths among the inputs that are the reference.  `evidence` is what the
-    recordings tell besides the pairs (`gather`), `conformity` the verdicts on requirements.  The file is written
-    beside and then renamed; the same arguments give the same bytes.
+    recordings tell besides the pairs (`gather`), `conformity` the verdicts on requirements, `heights` what stood for unknown
+    heights.  The file is written beside and then renamed; the same arguments give the same bytes.
 
     Raises InputError where the file cannot be written.
     """
     text = render(
         calibration, residuals, sensors, title=title, truth=truth, warnings=warnings, association=association, targets=targets,
-        reference=reference, evidence=evidence, conformity=conformity,
+        reference=reference, evidence=evidence, conformity=conformity, heights=heights,
     )  # fmt: skip
     target = Path(path)
     write_text(target, text)
@@ -166,6 +168,7 @@ def render(
     reference: Sequence[str] = (),
     evidence: Evidence | None = None,
     conformity: Sequence[Conformity] = (),
+    heights: HeightProfile | None = None,
 ) -> str:
     """The report of `write_report` as text."""
     truth = truth or {}
@@ -193,6 +196,7 @@ def render(
         version=calibration.version,
         sections=sections,
         correlation=correlation,
+        heights=drawn.add(charts.height_figure(heights, "heights")) if heights is not None else None,
         simulated=bool(truth),
         warnings=alarming,
         information=telling,
@@ -311,6 +315,26 @@ class Row:
     decision: str
     gain: str
     why: str
+    table: str = ""
+
+
+def brief(rows: Sequence[Row]) -> list[Row]:
+    """The rows with one for all nodes of a table: its value and sd are the least and the most of them."""
+    out: list[Row] = []
+    for row in rows:
+        mine = [r for r in rows if r.table == row.table] if row.table else [row]
+        if mine[0] is not row:
+            continue
+        if row.table:
+            numbers = sorted(mine, key=lambda r: float(r.value.replace(_MINUS, "-")) if r.value != "–" else 0.0)
+            decisions = {r.decision for r in mine}
+            row = replace(
+                row, name=f"{row.table.partition('@')[0]}, {len(mine)} nodes", value=f"{numbers[0].value} … {numbers[-1].value}",
+                sd=max((r.sd for r in mine), key=len), significant=any(r.significant for r in mine), why="",
+                decision=decisions.pop() if len(decisions) == 1 else "", table="",
+            )  # fmt: skip
+        out.append(row)
+    return out
 
 
 def rows_of(calibration: Calibration, summary: Summary, truth: Mapping[str, float]) -> list[Row]:
@@ -345,6 +369,7 @@ def rows_of(calibration: Calibration, summary: Summary, truth: Mapping[str, floa
                 decision=advice.decision if advice else "",
                 gain=_gain(advice) if advice else "",
                 why=advice.why if advice else "",
+                table=table_of(term_of(key.name)),
             )
         )
     # Terms that were looked at and have no number.
@@ -352,7 +377,8 @@ def rows_of(calibration: Calibration, summary: Summary, truth: Mapping[str, floa
         out.append(
             Row(
                 name=name, channel="" if channel == "all" else channel, value="–", sd="–", low="–", high="–",
-                unit=unit_text(TERMS[name].unit), meaning=TERMS[name].meaning, significant=False,
+                unit=unit_text(TERMS[name].unit) if name in TERMS else "",
+                meaning=TERMS[name].meaning if name in TERMS else "", significant=False,
                 true=number(truth.get(name, math.nan), 3, sign=True), off="–", far=False, decision=advice.decision,
                 gain=_gain(advice), why=advice.why,
             )
@@ -381,6 +407,8 @@ def verdict(calibration: Calibration, summary: Summary) -> tuple[str, str]:
         if key.sensor != summary.sensor:
             continue
         term = TERMS[key.name]
+        if table_of(term):
+            continue
         value, sd = float(calibration.value[-1, k]) / term.si_per_unit, float(calibration.sd[-1, k]) / term.si_per_unit
         if not np.isfinite(value):
             continue
@@ -611,6 +639,7 @@ def _section(
         "noise": noise,
         "notes": summary.notes,
         "rows": rows,
+        "brief": brief(rows),
         "advised": any(row.decision for row in rows),
         "gains": any(row.gain for row in rows),
         "has_channels": any(row.channel for row in rows),
@@ -625,7 +654,7 @@ def _section(
         "criterion": summary.criterion,
         "choices": [_step(c) for c in summary.choices],
         "choices_figure": choices,
-        "effects": _effect_rows(summary),
+        "effects": _effect_table(summary),
         "target_rows": _target_rows(chosen, targets),
         "figures": [f for f in shown if f is not None],
         "chains": chains,
@@ -795,20 +824,22 @@ def _step(c: Any) -> dict[str, str]:
     }
 
 
-def _effect_rows(summary: Summary) -> list[dict[str, str]]:
-    """The random errors that plots of one target share, the longest first."""
-    spans = sorted({e.block_s for e in summary.effects if math.isfinite(e.block_s)}, reverse=True)
-    names = {span: ("slow" if k == 0 and len(spans) > 1 else "quick") for k, span in enumerate(spans)}
-    out = []
-    for e in sorted(summary.effects, key=lambda e: -e.block_s):
-        term = TERMS[e.term]
-        sd = e.sd / term.si_per_unit
-        out.append({
-            "what": f"acts as {term_label(e.term)}",
-            "kind": f"{names[e.block_s]}: another after {e.block_s:g} s" if e.block_s in names else "the same in all its plots",
-            "sd": with_unit(number(sd, decimals(sd)), term.unit),
+def _effect_table(summary: Summary) -> dict[str, Any] | None:
+    """The random errors that plots of one target share: a row a term, a column a span of time, the longest first."""
+    if not summary.effects:
+        return None
+    spans = sorted({e.block_s for e in summary.effects}, reverse=True)
+    finite = [s for s in spans if math.isfinite(s)]
+    words = {s: f"{'slow' if s == finite[0] and len(finite) > 1 else 'quick'}: another every {s:g} s" for s in finite}
+    rows = []
+    for name in dict.fromkeys(e.term for e in summary.effects):
+        term = term_of(name)
+        sds = {e.block_s: e.sd / term.si_per_unit for e in summary.effects if e.term == name}
+        rows.append({
+            "what": f"{term_label(name)}, {unit_text(term.unit)}",
+            "sds": [number(sds[s], decimals(sds[s])) if s in sds else "" for s in spans],
         })  # fmt: skip
-    return out
+    return {"spans": [words.get(s, "the same in all plots of a target") for s in spans], "rows": rows}
 
 
 def _target_rows(r: Residuals, targets: Mapping[int, str], most: int = 12) -> list[dict[str, str]]:
