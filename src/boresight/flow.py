@@ -11,6 +11,7 @@ import contextlib
 import datetime
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -145,8 +146,8 @@ def calibrate(
     )
     warnings: list[str] = []
     plots, reference = _once(plots, warnings), _once(reference, warnings)
-    radar = _read_all(plots, editions, date, warnings, progress)
-    trusted = _read_all(reference, editions, date, warnings, progress)
+    recordings = _read_all([*plots, *reference], editions, date, warnings, progress)
+    radar, trusted = recordings[: len(plots)], recordings[len(plots) :]
     warnings += [text for path in plots for file in _files_of(path) for text in corrected_before(file)]
     measured = _with_known_sensor(Plots.concat([r.plots for r in radar]), sensors, radar, warnings)
     warnings += site_disagreements([s for r in radar for s in r.sources], sensors)
@@ -215,9 +216,10 @@ def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> 
     except OSError as error:
         raise _no_folder(out, error) from error
     try:
-        with tempfile.TemporaryDirectory(prefix=".boresight-", dir=out) as part:
+        with tempfile.TemporaryDirectory(prefix=".boresight-", dir=out) as part, ThreadPoolExecutor(1) as writer:
             beside = Path(part)
-            _write_data(run, beside)
+            # While the figures are drawn.
+            data = writer.submit(_write_data, run, beside)
             write_report(
                 beside / "report.html",
                 run.calibration,
@@ -231,6 +233,7 @@ def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> 
                 evidence=run.evidence,
                 conformity=run.conformity,
             )
+            data.result()
             if run.frozen is not None:
                 save_frozen(run.frozen, beside, out)
             _keep_earlier(out, _RESULTS)
@@ -472,14 +475,14 @@ def _read_all(
     warnings: list[str],
     progress: Progress,
 ) -> list[Recording]:
+    """The recordings in their order, several read at a time; what is to be said of them goes into `warnings`."""
+    from ._parallel import in_threads
     from .reading import read
 
-    recordings = []
-    for path in paths:
-        progress(f"reading {path}")
-        recording = read(path, editions=dict(editions or {}), date=date)
+    progress(f"reading {', '.join(map(str, paths))}")
+    recordings = in_threads(lambda path: read(path, editions=dict(editions or {}), date=date), paths)
+    for path, recording in zip(paths, recordings, strict=True):
         warnings += _said_of(path, recording)
-        recordings.append(recording)
     return recordings
 
 
@@ -545,7 +548,7 @@ def _others(recordings: Sequence[Recording], plots: Plots, warnings: list[str]) 
                     f"{said}: a radar cannot be its own reference", remedy="--reference needs ADS-B or multilateration reports."
                 )
             warnings.append(f"{said}: not used as a reference")
-        kept.append(r.fixes[~mine])
+        kept.append(r.fixes[~mine] if mine.any() else r.fixes)
     return Fixes.concat(kept)
 
 

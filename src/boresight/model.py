@@ -129,6 +129,8 @@ class _Table:
         """The tables one behind the other."""
         if not tables:
             return cls()
+        if len(tables) == 1:
+            return tables[0]
         columns: dict[str, Any] = {}
         for f in fields(cls):  # type: ignore[arg-type]
             parts = [getattr(t, f.name) for t in tables]
