@@ -53,8 +53,7 @@ class Flag(IntFlag):
     TIME_OF_RECEPTION = 2048
     ACQUIRING = 4096
     MAGNETIC_NORTH = 8192
-    CHAIN_1 = 16384
-    CHAIN_2 = 32768
+    CHAIN_2 = 16384
 
 
 EXCLUDED = (

@@ -24,7 +24,8 @@ from .model import Channel, Flag
 DEG = np.pi / 180.0
 # Terms that act by shifting the stamps, not by a column at the true place.
 TIME_TERMS = frozenset({"time_offset", "clock_drift"})
-# The channels that may have errors of their own.  The position of a combined plot is the secondary radar's.
+# The channels that may have errors of their own.  The position of a combined plot is the secondary radar's.  The chains are those
+# that process the plots, told by a flag: what does not say that it is of the second is of the first.
 CHANNELS: dict[str, tuple[Channel, ...]] = {
     "psr": (Channel.PSR,),
     "ssr": (Channel.SSR, Channel.SSR_PSR),
@@ -32,7 +33,6 @@ CHANNELS: dict[str, tuple[Channel, ...]] = {
     "chain1": (),
     "chain2": (),
 }
-_CHAINS = {"chain1": Flag.CHAIN_1, "chain2": Flag.CHAIN_2}
 # Elevations beyond this are treated as this where a column has a pole over the antenna (tan E, 1 / cos E).
 _STEEPEST_RAD = 80 * DEG
 # The height over which the air's refractivity falls by a factor of e (ITU-R P.453, global mean), and the earth's mean radius.
@@ -377,8 +377,8 @@ def touches(channel: str, whose: Whose | None) -> BoolArray | bool:
     if whose is None or channel == "all":
         return True
     name = channel.lower()
-    if name in _CHAINS:
-        return np.asarray((np.asarray(whose.flags) & int(_CHAINS[name])) != 0)
+    if name in ("chain1", "chain2"):
+        return np.asarray(((np.asarray(whose.flags) & np.uint32(Flag.CHAIN_2)) != 0) == (name == "chain2"))
     if name.startswith("source "):
         return np.asarray(whose.source == int(name.split()[1]))
     codes = CHANNELS.get(name) or tuple(c for c in Channel if c.name.lower() == name)

@@ -1162,6 +1162,7 @@ FLAGS: dict[tuple[int, str], tuple[tuple[str, tuple[int, ...], Flag], ...]] = {
         ("020.SIM", (), Flag.SIMULATED),
         ("020.TST", (), Flag.TEST),
         ("020.RAB", (), Flag.FIELD_MONITOR),
+        ("020.RDP", (), Flag.CHAIN_2),
         ("020.TYP", (0,), Flag.EXTRAPOLATED),
         ("230.STAT", (1, 3), Flag.GROUND),
         ("070.G", (), _DAMAGED_CODE),

@@ -217,7 +217,8 @@ def _encode_048(plots: Plots) -> _Encoded:
     kind = np.where(_flag(flags, Flag.EXTRAPOLATED), 0, kind)
     test = _flag(flags, Flag.TEST)
     simulated, monitor = _flag(flags, Flag.SIMULATED), _flag(flags, Flag.FIELD_MONITOR)
-    items.add(3, _bytes(_octet((kind, 5), (simulated, 4), (monitor, 1), (test, 0)), 1))
+    chain = _flag(flags, Flag.CHAIN_2)
+    items.add(3, _bytes(_octet((kind, 5), (simulated, 4), (chain, 3), (monitor, 1), (test, 0)), 1))
     items.add(0, _bytes(none + 0x80, 1), test)
 
     quanta = np.rint(plots.range_m / (NAUTICAL_MILE_M / 256)).astype(np.int64)
@@ -307,7 +308,7 @@ def _encode_010(plots: Plots) -> _Encoded:
     items.add(0, _bytes(_octet((_angle(plots.heading_rad, 7), 1), (wide, 0)), 1), turned)
     items.add(0, _bytes(width << 1, 1), wide)
     items.lose("heading_rad", np.isfinite(plots.heading_rad) & ~turned)
-    items.lose("flags", _flag(flags, Flag.REFLECTION | Flag.SIDE_LOBE | Flag.SECOND_TIME | Flag.TIME_OF_RECEPTION))
+    items.lose("flags", _flag(flags, Flag.REFLECTION | Flag.SIDE_LOBE | Flag.SECOND_TIME | Flag.TIME_OF_RECEPTION | Flag.CHAIN_2))
     _lose_columns(items, plots, "elevation_rad", "psr_ssr_range_m", "psr_ssr_azimuth_rad", "speed_mps", *_SD)
     return _finish(items, 10, plots.time_s, source)
 
