@@ -41,6 +41,8 @@ _AHEAD = 512
 _APART = 2000
 # Blocks that are looked at to infer an edition: few enough for a stream to start soon, many enough not to be fooled.
 _SAMPLE = 16
+# Fewer positions than these say nothing of an edition: they may as well be damaged.
+_JUDGED = 8
 # Records that follow each other in a sample of a file are this close in time, whatever the file.
 _GAP_S = 3600.0
 # A stamp that is further than this from the one ahead of it is doubted until another one confirms it.
@@ -1788,9 +1790,11 @@ class Reader:
             received = portion.receive_s
             told = received[np.isfinite(received)]
             if np.isnan(shift) and len(told):
-                self.first_s = float(told[0])
+                # A damaged time of the first packet must not decide the day.
+                near = np.abs(told[:9] - np.median(told[:9])) <= 3600.0
+                self.first_s = float(told[np.argmax(near)])
                 # The date that was given counts; in a capture the time of day of its clock goes with it.
-                own = np.floor(told[0] / DAY_S) if self.kind in ("pcap", "pcapng") else 0.0
+                own = np.floor(self.first_s / DAY_S) if self.kind in ("pcap", "pcapng") else 0.0
                 shift = (self.state.day - own) * DAY_S if self.dated or own == 0.0 else 0.0
                 if not self.dated and own:
                     self.state = replace(self.state, day=int(own))
@@ -1928,10 +1932,10 @@ def _check_editions(path: str | Path, data: ByteArray, given: Mapping[int, str])
 
 
 def _check_positions(path: str | Path, data: ByteArray, told: _Told, editions: Mapping[int, str]) -> None:
-    """Raise InputError where more than one position in a hundred is impossible and another edition fits, or where most are."""
+    """Raise InputError where a fifth of the positions is impossible and another edition fits, or where most are."""
     for category, edition in editions.items():
         wrong, known = told.places.get(category, (0, 0))
-        if category in uap.INFERRED and wrong > 0.01 * max(1, known):
+        if category in uap.INFERRED and known >= _JUDGED and wrong > 0.2 * known:
             best, _ = _infer(data, _spread(data, category), category)
             if uap.table_of(category, edition) == uap.table_of(category, best) and wrong <= 0.5 * known:
                 # A damaged file: what is right in it is of use.

@@ -262,8 +262,14 @@ def _next_packet(data: ByteArray, begin: int, end: int, big: bool, head: int, mo
             continue
         if follows + head > size or _packet(data, follows, big, most, ticks, _u32(data, p, big)) >= 20:
             return p
-        if near >= 0 and long <= 2048 and abs(_u32(data, p, big) - near) <= 600:
+        time_s = _u32(data, p, big)
+        if near >= 0 and long <= 2048 and abs(time_s - near) <= 600:
             return p
+        if near < 0:
+            # The next one that there is, soon, has to have a time like it.
+            for q in range(follows + 1, min(follows + 4096, size - head + 1)):
+                if _packet(data, q, big, most, ticks, time_s) >= 20 and abs(_u32(data, q, big) - time_s) <= 600:
+                    return p
     return -1
 
 
@@ -618,7 +624,7 @@ def _found(
 
 
 def _astray(seconds: FloatArray) -> BoolArray:
-    """Which times stand alone: hardly any packet around has one like it, and it is out of order or more than a day apart."""
+    """Which times stand alone: hardly any packet around has one like it, and it is out of order or half a day apart."""
     known = np.flatnonzero(np.isfinite(seconds))
     out = np.zeros(len(seconds), bool)
     time_s = seconds[known]
@@ -634,7 +640,7 @@ def _astray(seconds: FloatArray) -> BoolArray:
     mine = time_s[alone]
     outside = (mine < np.minimum(before, after) - _NEAR_S) | (mine > np.maximum(before, after) + _NEAR_S)
     inner = (place > 0) & (place < len(good))
-    apart = np.minimum(np.abs(mine - before), np.abs(mine - after)) > 86400.0
+    apart = np.minimum(np.abs(mine - before), np.abs(mine - after)) > 43200.0
     out[known[alone]] = (outside & inner) | apart
     return out
 
