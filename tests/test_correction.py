@@ -167,7 +167,7 @@ def test_channels_and_other_sensors() -> None:
     assert np.allclose(clean.range_m - plots.range_m, [-100, -100, 0, 0, 0, 0], atol=1e-6)
     # A combined plot's position is the secondary radar's; a processing chain is a channel too.
     plots = plots.replace(channel=np.array([1, 2, 3, 4, 0, 0]), flags=np.array([0, 0, int(Flag.CHAIN_2), 0, 0, 0]))
-    for channel, moved in (("psr", [0]), ("ssr", [1, 3]), ("mode_s", [2]), ("chain2", [2]), ("chain1", [])):
+    for channel, moved in (("psr", [0]), ("ssr", [1, 3]), ("mode_s", [2]), ("chain2", [2]), ("chain1", [0, 1, 3])):
         clean = correct(plots, calibration(values, channel=channel))
         assert np.flatnonzero(clean.range_m != plots.range_m).tolist() == moved, channel
     with pytest.raises(InputError, match=r"a channel 'chain7'.*psr"):

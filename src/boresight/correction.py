@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ._parallel import slices
 from ._types import BoolArray, FloatArray, IntArray
 from .calibration import Calibration, advised
 from .errors import InputError
@@ -18,6 +19,7 @@ log = logging.getLogger(__name__)
 
 _EARTH_M = 6371e3
 _TOLERANCE_M = 1e-4
+_CHUNK = 1 << 16
 _STEPS = 50
 # Plots of a track that are further apart tell nothing of each other; so many on either side tell its velocity.
 _TRACK_GAP_S, _AROUND = 60.0, 4
@@ -77,15 +79,22 @@ def correct_and_say(
         name: getattr(plots, name).copy()
         for name in ("time_s", "range_m", "azimuth_rad", "elevation_rad", "range_sd_m", "azimuth_sd_rad", "elevation_sd_rad")
     }
-    tracks = _tracks(plots)
-    length, velocity = _lengths(plots, tracks), _velocity(plots, tracks)
+    used = [TERMS[key.name] for key in calibration.terms]
+    length, velocity = plots.length_m, np.full((len(plots), 2), np.nan)
+    if any("heading" in term.needs or term.is_time for term in used):
+        tracks = _tracks(plots)
+        length, velocity = _lengths(plots, tracks), _velocity(plots, tracks)
+    tally: dict[str, list[int]] = {}
     for key in sorted(calibrated):
         mine = plots.sensor == key
         groups = {k.channel for k in calibration.terms if k.sensor == key}
         # Plots of different channels may have different terms: each plot is corrected once, with all that touch it.
-        for rows in _by_terms(plots, calibration, key, mine, groups):
+        for rows, own in _by_terms(plots, calibration, key, mine, groups):
             name = summaries[key].name if key in summaries else _place(key)
-            _correct_rows(plots, calibration, sensors, key, name, rows, length, velocity, columns, said)
+            # A part at a time: what is computed on the way is many times as large as the plots.
+            for part in slices(len(rows), _CHUNK):
+                _correct_rows(plots, calibration, sensors, key, name, rows[part], own, length, velocity, columns, tally)
+    said += [text.format(f"{count:,} of {total:,}") for text, (count, total) in tally.items() if count]
     columns["azimuth_rad"] = np.where(
         np.isfinite(columns["azimuth_rad"]), np.mod(columns["azimuth_rad"], 2 * np.pi), columns["azimuth_rad"]
     )
@@ -114,8 +123,8 @@ def _whose(plots: Plots) -> Whose:
 
 def _by_terms(
     plots: Plots, calibration: Calibration, sensor: int, mine: BoolArray, channels: set[str]
-) -> list[tuple[BoolArray, list[int]]]:
-    """The sensor's plots in groups that the same terms touch: (rows (n,), indices of the terms)."""
+) -> list[tuple[IntArray, list[int]]]:
+    """The sensor's plots in groups that the same terms touch: (rows (k,), indices of the terms)."""
     signature = np.zeros(len(plots), np.int64)
     names = sorted(channels)
     for bit, channel in enumerate(names):
@@ -125,7 +134,7 @@ def _by_terms(
         active = {name for bit, name in enumerate(names) if value >> bit & 1}
         terms = [k for k, key in enumerate(calibration.terms) if key.sensor == sensor and key.channel in active]
         if terms:
-            out.append((mine & (signature == value), terms))
+            out.append((np.flatnonzero(mine & (signature == value)), terms))
     return out
 
 
@@ -196,13 +205,20 @@ def _correct_rows(
     sensors: Sensors | None,
     sensor: int,
     name: str,
-    group: tuple[BoolArray, list[int]],
+    rows: IntArray,
+    terms: list[int],
     length: FloatArray,
     velocity: FloatArray,
     columns: dict[str, FloatArray],
-    said: list[str],
+    tally: dict[str, list[int]],
 ) -> None:
-    rows, terms = group
+    """Correct the plots at `rows` (k,) for the terms at `terms` of the calibration; what must be said is counted in `tally`."""
+
+    def say(what: str, count: int) -> None:
+        counts = tally.setdefault(f"{name.replace('{', '{{').replace('}', '}}')}: {what}", [0, 0])
+        counts[0] += count
+        counts[1] += len(rows)
+
     kinds = [TERMS[calibration.terms[k].name] for k in terms]
     time = plots.time_s[rows]
     entry = sensors.find(sensor) if sensors is not None else None
@@ -234,7 +250,7 @@ def _correct_rows(
         if term.name in TIME_TERMS:
             continue
         if term.needs & {"rate", "second", "third"}:
-            said.append(f"{name}: {term.name} was not applied: plots do not tell the accelerations that it needs")
+            say(f"{term.name} was not applied to {{}} plots: they do not tell the accelerations that it needs", len(rows))
             continue
         polar.append((term, value))
         lacking = np.zeros(len(time), bool)
@@ -242,11 +258,8 @@ def _correct_rows(
             lacking |= ~np.isfinite(heading)
         if "length" in term.needs:
             lacking |= ~np.isfinite(own_length)
-        if lacking.any():
-            said.append(
-                f"{name}: {term.name} was not applied to {lacking.sum():,} of {len(time):,} plots, of which no "
-                f"{' or no '.join(sorted(term.needs & {'heading', 'length'}))} is known"
-            )
+        what = " or no ".join(sorted(term.needs & {"heading", "length"}))
+        say(f"{term.name} was not applied to {{}} plots, of which no {what} is known", int(np.count_nonzero(lacking)))
     height = np.where(np.isfinite(plots.height_m[rows]), plots.height_m[rows], plots.pressure_altitude_m[rows])
     still = np.zeros((len(time), 3))
     whose = _whose(plots[rows])
@@ -264,11 +277,11 @@ def _correct_rows(
         new = measured - error
         moved = np.abs(new - at) * np.stack([np.ones(len(time)), at[:, 0], at[:, 0]], axis=1)
         at = new
-        moved = moved[np.isfinite(moved)]
-        if not len(moved) or moved.max() <= _TOLERANCE_M:
+        moving = (moved > _TOLERANCE_M).any(axis=1)
+        if not moving.any():
             break
     else:
-        said.append(f"{name}: the correction did not settle to 1 mm: these errors are too large for these plots")
+        say("the correction of {} plots did not settle to 1 mm: these errors are too large for them", int(moving.sum()))
     columns["range_m"][rows] = at[:, 0]
     columns["azimuth_rad"][rows] = at[:, 1] - north
     columns["elevation_rad"][rows] = np.where(has_elevation, at[:, 2], plots.elevation_rad[rows])
@@ -277,12 +290,10 @@ def _correct_rows(
     carried = plots.speed_mps[rows, None] * np.stack([np.sin(heading), np.cos(heading)], axis=1)
     turned = np.hypot(own[:, 0], own[:, 1])[:, None] * np.stack([np.sin(course), np.cos(course)], axis=1)
     rate = _rate(at, np.where(np.isfinite(turned), turned, carried))
-    unmoved = np.isnan(rate[:, 0]) & np.isfinite(at[:, 0])
-    if any(term.name in TIME_TERMS for term in kinds) and unmoved.any():
-        said.append(
-            f"{name}: what the calibration does not know of the clock is not in the sd of {unmoved.sum():,} of {len(time):,} "
-            "plots, whose motion nothing tells"
-        )
+    if any(term.name in TIME_TERMS for term in kinds):
+        alone = np.isnan(rate[:, 0]) & np.isfinite(at[:, 0])
+        what = "what the calibration does not know of the clock is not in the sd of {} plots, whose motion nothing tells"
+        say(what, int(np.count_nonzero(alone)))
     place = geometry(at, np.nan_to_num(rate))
     jacobian = np.stack([term.columns(place) for term in kinds], axis=2)
     added = np.zeros_like(measured)
