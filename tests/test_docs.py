@@ -62,6 +62,20 @@ def test_the_tutorial_runs_block_after_block(
     assert f"--date {names['files'].date.isoformat()}" in page.read_text(encoding="utf-8")
 
 
+def test_the_page_on_corrected_recordings_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    page = ROOT / "docs" / "correct.md"
+    names: dict[str, object] = {}
+    for k, block in enumerate(blocks(page)):
+        exec(compile(block, f"{page.name}, block {k + 1}", "exec"), names)
+    said = capsys.readouterr().out
+    assert "I048/040 RHO" in said
+    assert "corrected.ast.boresight.json" in page.read_text(encoding="utf-8")
+    assert (tmp_path / "corrected.ast.boresight.json").is_file()
+
+
 def test_the_code_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     files = write_demo(tmp_path, seed=1)
     for made, named in ((files.plots[0], "radar.ast"), (files.reference[0], "adsb.ast")):
