@@ -19,6 +19,7 @@ from .convert import convert
 from .correct import correct
 from .demo import demo
 from .info import info
+from .plan import plan
 from .verify import verify
 from .warm import warm
 
@@ -30,7 +31,7 @@ app = cyclopts.App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _command in (demo, info, calibrate, correct, convert, assess, verify, warm):
+for _command in (demo, info, calibrate, correct, convert, assess, verify, plan, warm):
     app.command(_command)
 
 
