@@ -46,7 +46,7 @@ class ExpectedMode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """
 
     rates_deg_s: tuple[float, ...] = (-6.0, -4.5, -3.0, -1.5, 0.0, 1.5, 3.0, 4.5, 6.0)
-    group: int = 3
+    group: int = 5
     noise: float = 1.0
     noise_up: float | None = None
     expected: bool = True
@@ -67,6 +67,21 @@ class Mixed(NamedTuple):
     likelihood: FloatArray
     probability: FloatArray
     rate_rad_s: FloatArray
+    kept: Kept | None = None
+
+
+class Kept(NamedTuple):
+    """What the smoother needs of each model after each measurement, once the group has moved.
+
+    `mean` (n, K, M, d), `covariance` (n, K, M, d, d), `probability` (n, K, M), `models` (n, K, M, 4) with which the step to this
+    time was predicted, and `change` (K, M, M), the probabilities of a change over it.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    probability: FloatArray
+    models: FloatArray
+    change: FloatArray
 
 
 @inlined
@@ -281,8 +296,13 @@ def _run(
     likelihood: FloatArray,
     probability: FloatArray,
     rate: FloatArray,
+    kept_mean: FloatArray,
+    kept_covariance: FloatArray,
+    kept_probability: FloatArray,
+    kept_models: FloatArray,
+    kept_change: FloatArray,
 ) -> None:
-    """Interacting models over targets (n, K).
+    """Interacting models over targets (n, K); what is kept for the smoother only where there is room for it.
 
     `fan` (F, 4) are all models in order.  Slots 0 … group - 1 hold neighbours of it (all, where group = F), and where
     `expected` the last slot is the turn at the expected rate.
@@ -373,6 +393,17 @@ def _run(
                 centre = regroup(
                     x, p, weight, score, centre, fan.shape[0], like, count, group, new, one, one_spread
                 )  # fmt: skip
+            if kept_mean.shape[0] > 0:
+                for m in range(count):
+                    kept_probability[row, step, m] = weight[m]
+                    for h in range(4):
+                        kept_models[row, step, m, h] = current[m, h]
+                    for i in range(count):
+                        kept_change[step, m, i] = change[m, i]
+                    for i in range(d):
+                        kept_mean[row, step, m, i] = x[m, i]
+                        for j in range(d):
+                            kept_covariance[row, step, m, i, j] = p[m, i, j]
 
 
 def imm_filter(
@@ -384,11 +415,13 @@ def imm_filter(
     *,
     first: int = 0,
     covariances: bool = True,
+    keep: bool = False,
 ) -> Mixed:
     """Interacting models over positions `z` (n, K, k) with covariances `r` (n, K, k, k) at `time_s` (K,).
 
     Arguments as for `kalman.kalman_filter`.  `probability` has one column a model; for `ExpectedMode` one a slot of the group, in
-    order of the rates, and the expected mode last.  Raises SettingsError for settings, shapes or times that make no sense.
+    order of the rates, and the expected mode last.  `keep` keeps each model's states.  Raises SettingsError for settings, shapes
+    or times that make no sense.
     """
     fan, group, expected, motions = _settings(method)
     given = np.zeros((0, 0))
@@ -412,6 +445,7 @@ def imm_filter(
         np.full((n, steps, count), np.nan),
         np.full((n, steps), np.nan),
     )
+    kept = _room(n, steps, count, d) if keep else _room(0, 0, 0, 0)
 
     def piece(rows: slice) -> None:
         _run(
@@ -419,10 +453,21 @@ def imm_filter(
             (0,) * d, (0,) * k, count,
             out.mean[rows], out.covariance[rows] if covariances else out.covariance, out.nis[rows], out.likelihood[rows],
             out.probability[rows], out.rate_rad_s[rows],
+            kept.mean[rows], kept.covariance[rows], kept.probability[rows], kept.models[rows], kept.change,
         )  # fmt: skip
 
     in_threads(piece, slices(n, _ROWS))
-    return out
+    return out._replace(kept=kept) if keep else out
+
+
+def _room(n: int, steps: int, count: int, d: int) -> Kept:
+    return Kept(
+        np.full((n, steps, count, d), np.nan),
+        np.full((n, steps, count, d, d), np.nan),
+        np.full((n, steps, count), np.nan),
+        np.full((n, steps, count, 4), np.nan),
+        np.full((steps, count, count), np.nan),
+    )
 
 
 def _settings(method: Imm | ExpectedMode) -> tuple[FloatArray, int, bool, Sequence[Motion]]:

@@ -1,0 +1,58 @@
+"""The alpha-beta filter: position and velocity with two fixed gains, the cheapest tracker there is."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from .._types import FloatArray
+from ..errors import SettingsError
+
+
+class AlphaBeta(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag="alpha-beta"):
+    """Fixed gains: `alpha` of the position, `beta` of the velocity (over the time since the last measurement)."""
+
+    alpha: float = 0.5
+    beta: float = 0.1
+
+    @classmethod
+    def steady(cls, acceleration_sd_mps2: float, dt_s: float, position_sd_m: float) -> AlphaBeta:
+        """The gains of the steady-state Kalman filter for piecewise constant white acceleration (Kalata 1984)."""
+        index = acceleration_sd_mps2 * dt_s**2 / position_sd_m
+        r = (4 + index - np.sqrt(8 * index + index**2)) / 4
+        alpha = 1 - r * r
+        return cls(alpha=float(alpha), beta=float(2 * (2 - alpha) - 4 * np.sqrt(1 - alpha)))
+
+
+def alpha_beta_filter(z: FloatArray, time_s: FloatArray, gains: AlphaBeta, velocity: FloatArray | None = None) -> FloatArray:
+    """States (n, K, 2 k), position and velocity, after each of the positions `z` (n, K, k) at `time_s` (K,).
+
+    Starts at the first position with `velocity` (n, k), else at rest.  NaN positions are times without a measurement.  Raises
+    SettingsError for gains that do not settle (0 < alpha <= 1, 0 <= beta, 2 alpha + beta < 4) and times that go backwards.
+    """
+    z, time_s = np.asarray(z, np.float64), np.asarray(time_s, np.float64)
+    if not (0 < gains.alpha <= 1 and gains.beta >= 0 and 2 * gains.alpha + gains.beta < 4):
+        raise SettingsError(
+            f"alpha = {gains.alpha}, beta = {gains.beta} do not settle",
+            where="alpha-beta",
+            remedy="Give 0 < alpha <= 1 and 0 <= beta < 4 - 2 alpha.",
+        )
+    if z.ndim != 3 or time_s.shape != z.shape[1:2] or not np.isfinite(time_s).all() or (np.diff(time_s) < 0).any():
+        raise SettingsError(
+            f"positions {z.shape} and times {time_s.shape} do not fit, or time goes backwards",
+            where="alpha-beta",
+            remedy="Give (n, K, k) and (K,), sorted by time.",
+        )
+    n, steps, k = z.shape
+    out = np.empty((n, steps, 2 * k))
+    position, speed = z[:, 0].copy(), np.zeros((n, k)) if velocity is None else np.array(velocity, np.float64)
+    out[:, 0, :k], out[:, 0, k:] = position, speed
+    for step in range(1, steps):
+        dt = time_s[step] - time_s[step - 1]
+        position = position + dt * speed
+        off = np.where(np.isnan(z[:, step]), 0.0, z[:, step] - position)
+        position = position + gains.alpha * off
+        if dt > 0:
+            speed = speed + gains.beta / dt * off
+        out[:, step, :k], out[:, step, k:] = position, speed
+    return out
