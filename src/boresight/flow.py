@@ -337,13 +337,15 @@ def correct_files(
     be used, for a calibration of another radar and for a recording that was corrected before, NothingToDo where there is no plot
     or no term to apply.
     """
+    from msgspec import structs
+
     from ._files import check_place
     from .alignment import apply_time_offsets
     from .calibration import Input, chosen, load_calibration
     from .correction import correct_and_say
     from .reading import sha256_of
     from .writing.reencode import open_original, reencode
-    from .writing.sidecar import Provenance, describe, find_sidecar, sidecar_of, terms_done, write_sidecar
+    from .writing.sidecar import Provenance, describe, find_sidecar, inner, sidecar_of, terms_done, write_sidecar
     from .writing.tables import write_table
 
     out = Path(out)
@@ -401,18 +403,22 @@ def correct_files(
     try:
         with tempfile.TemporaryDirectory(prefix=".boresight-", dir=out.parent) as part:
             beside = Path(part) / out.name
-            encoded = None
-            if original is None:
-                write_table(beside, clean)
-            else:
-                encoded = reencode(original, clean, beside)
             provenance = Provenance(
                 version=__version__,
-                output=Input(path=out.name, sha256=sha256_of(beside), bytes=beside.stat().st_size),
+                output=Input(path=out.name, sha256="", bytes=0),
                 inputs=tuple(_input(file) for file in files),
                 calibration=_input(calibration),
                 terms=done,
                 fixed_time_offset_s=fixed,
+            )
+            encoded = None
+            if original is None:
+                write_table(beside, clean, metadata=inner(provenance))
+            else:
+                encoded = reencode(original, clean, beside)
+            provenance = structs.replace(
+                provenance,
+                output=Input(path=out.name, sha256=sha256_of(beside), bytes=beside.stat().st_size),
                 rounding={r.item: f"{r.rms:.3g} {r.unit}" for r in encoded.rounding} if encoded is not None else {},
             )
             write_sidecar(provenance, sidecar_of(beside))

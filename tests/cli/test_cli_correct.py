@@ -229,6 +229,8 @@ def test_outputs_that_make_no_sense_are_refused(scene: Scene, tmp_path: Path) ->
     copy.parent.mkdir()
     shutil.copy(table, copy)
     assert "is no ASTERIX" in mistake("correct", copy, *scene.options("--out", tmp_path / "out.ast"))
+    # A Parquet file tells it without its sidecar.
+    assert "was corrected already" in mistake("correct", copy, *scene.options("--out", tmp_path / "again.parquet"))
     assert "does not exist" in mistake("correct", scene.radar, *scene.options("--out", tmp_path / "nowhere" / "out.ast"))
     assert "was corrected already" in mistake("correct", table, *scene.options("--out", tmp_path / "again.parquet"))
 

@@ -20,6 +20,7 @@ from . import write_bytes
 
 SCHEMA: Literal["boresight-corrected/1"] = "boresight-corrected/1"
 ENDING = ".boresight.json"
+_KEY = "boresight-corrected"
 
 
 class TermDone(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -106,8 +107,8 @@ def write_sidecar(provenance: Provenance, path: str | Path) -> None:
 def find_sidecar(path: str | Path) -> tuple[Path, Provenance] | None:
     """The sidecar that tells of this very file (by its SHA-256), and what it says; None where there is none in its folder.
 
-    The folder's sidecars are asked all, so that a file that was renamed is found; what is no sidecar is passed over.  Raises
-    InputError where the file itself cannot be read.
+    The folder's sidecars are asked all, so that a file that was renamed is found; what is no sidecar is passed over.  A Parquet
+    file tells by itself, too.  Raises InputError where the file itself cannot be read.
     """
     from ..reading import sha256_of
 
@@ -129,4 +130,22 @@ def find_sidecar(path: str | Path) -> tuple[Path, Provenance] | None:
         own = own or sha256_of(path)
         if told.output.sha256 == own:
             return candidate, told
-    return None
+    return _inside(path)
+
+
+def inner(provenance: Provenance) -> dict[str, str]:
+    """The provenance as metadata of a Parquet file, which cannot hold its own hash."""
+    return {_KEY: msgspec.json.encode(provenance).decode()}
+
+
+def _inside(path: Path) -> tuple[Path, Provenance] | None:
+    """What a Parquet file says of itself, wherever it was moved to."""
+    from .tables import metadata_of
+
+    with open(path, "rb") as file:
+        if file.read(4) != b"PAR1":
+            return None
+    try:
+        return path, msgspec.json.decode(metadata_of(path)[_KEY], type=Provenance)
+    except (KeyError, msgspec.DecodeError):
+        return None

@@ -22,13 +22,14 @@ from . import atomic
 _IDENTITIES = ("sensor", "source", "mode_s", "mode_3a", "callsign", "mmsi", "track", "target", "plot", "record")
 
 
-def write_table(path: str | Path, table: Any) -> int:
+def write_table(path: str | Path, table: Any, *, metadata: Mapping[str, str] | None = None) -> int:
     """Write a table as Parquet or CSV, as the ending of `path` says, and return its number of rows.
 
     `table` is a `Plots`, `Fixes`, `Pairs`, another dataclass of arrays, or a mapping of names to arrays of one length.
     Columns are renamed with their unit: `…_rad` becomes `…_deg`; `time_s` becomes `time`, a UTC timestamp (microseconds; ISO
     8601 in CSV).  `mode_s` is six hexadecimal digits, `mode_3a` four octal ones, `callsign` and `channel` are words.  NaN and
-    the -1 of identities are empty.  (n, k) columns become `name_0` … `name_k-1`.  The same table gives the same bytes.
+    the -1 of identities are empty.  (n, k) columns become `name_0` … `name_k-1`.  The same table gives the same bytes.  A Parquet
+    file can hold `metadata` (key to text).
 
     Raises InputError for another ending, for columns of unequal length, and where the file cannot be written.
     """
@@ -37,7 +38,7 @@ def write_table(path: str | Path, table: Any) -> int:
     if kind not in (".parquet", ".csv"):
         raise InputError(f"the ending {kind or '(none)'} is no table format", path=path, remedy="Name it .parquet or .csv.")
     with atomic(path) as beside, _connected() as connection:
-        return _copy(connection, table, beside, csv=kind == ".csv")
+        return _copy(connection, table, beside, csv=kind == ".csv", metadata=metadata)
 
 
 # Rows of a piece of a long table: two row groups of Parquet, so that the file is the one that is written at once.
@@ -140,7 +141,28 @@ def _connected(threads: int = 1) -> Any:
     return duckdb.connect(":memory:", config=settings)
 
 
-def _copy(connection: Any, table: Any, to: Path, *, csv: bool = False, header: bool = True, compression: str = "zstd") -> int:
+def metadata_of(path: str | Path) -> dict[str, str]:
+    """The metadata that `write_table` has put into a Parquet file; nothing of what is none."""
+    import duckdb
+
+    with _connected() as connection:
+        try:
+            rows = connection.execute(f"SELECT key, value FROM parquet_kv_metadata({_text(Path(path))})").fetchall()
+        except duckdb.Error:
+            return {}
+    return {bytes(key).decode("utf-8", "replace"): bytes(value).decode("utf-8", "replace") for key, value in rows}
+
+
+def _copy(
+    connection: Any,
+    table: Any,
+    to: Path,
+    *,
+    csv: bool = False,
+    header: bool = True,
+    compression: str = "zstd",
+    metadata: Mapping[str, str] | None = None,
+) -> int:
     """Write a table to `to` and return its number of rows."""
     columns = dict(_columns(table))
     lengths = {name: len(values) for name, values in columns.items()}
@@ -153,6 +175,9 @@ def _copy(connection: Any, table: Any, to: Path, *, csv: bool = False, header: b
         source[inner], expression, outer = _outward(name, values, inner, csv=csv)
         chosen.append(f"{expression} AS {_quoted(outer)}")
     options = f"FORMAT csv, HEADER {str(header).lower()}" if csv else f"FORMAT parquet, COMPRESSION {compression}"
+    if metadata and not csv:
+        held = ", ".join(f"{_quoted(key)}: {_literal(value)}" for key, value in metadata.items())
+        options += f", KV_METADATA {{{held}}}"
     connection.register("source", source)
     _run(connection, f"COPY (SELECT {', '.join(chosen)} FROM source) TO {_text(to)} ({options})")
     return next(iter(lengths.values()))
@@ -174,7 +199,11 @@ def _run(connection: Any, command: str) -> None:
 
 
 def _text(path: Path) -> str:
-    return "'" + str(path).replace("'", "''") + "'"
+    return _literal(str(path))
+
+
+def _literal(text: str) -> str:
+    return "'" + text.replace("'", "''") + "'"
 
 
 def _columns(table: Any) -> Iterator[tuple[str, AnyArray]]:
