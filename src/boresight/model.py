@@ -397,7 +397,7 @@ class Recording:
 
     `offset` (records,) is the byte offset of each record, `by_category` the number of records of each.  `receive_s` (records,) is
     when each was received (UTC seconds), where the recording tells (else it is empty); `marks` are the antenna's north and
-    sector marks.
+    sector marks.  `passed_over` counts the records with ASTERIX fields that are skipped by their length ("021 RE").
     """
 
     path: str
@@ -412,6 +412,7 @@ class Recording:
     platform: Platform = field(default_factory=Platform)
     marks: Marks = field(default_factory=Marks)
     receive_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    passed_over: dict[str, int] = field(default_factory=dict)
 
     @property
     def records(self) -> int:

@@ -142,6 +142,7 @@ def _view(r: Any, clocks: Any) -> dict[str, Any]:
         "damaged": [{"offset": d.offset, "why": d.why} for d in r.damaged],
         "warnings": list(r.warnings),
         "tracks": len(r.tracks),
+        "passed_over": dict(sorted(r.passed_over.items())),
         "marks": len(r.marks),
         "psr_minus_ssr": _psr_ssr_rows(r),
     }
@@ -173,6 +174,8 @@ def _print(r: Any, clocks: Any) -> None:
             console.print(f"{s.sac}/{s.sic} says that it stands at {place}", soft_wrap=True)
         for note in s.notes:
             console.print(f"{s.sac}/{s.sic} says of {note}", soft_wrap=True)
+    for sentence in _content(r):
+        console.print(sentence, soft_wrap=True)
     _print_psr_ssr(console, r)
     if clocks is not None:
         _print_clocks(console, clocks)
@@ -182,6 +185,38 @@ def _print(r: Any, clocks: Any) -> None:
         console.print(f"damaged: byte {damage.offset}: {damage.why}", soft_wrap=True)
     if len(r.damaged) > 20:
         console.print(f"damaged: and {len(r.damaged) - 20:,} more (--json lists them all)")
+
+
+def _content(r: Any) -> list[str]:
+    """What the plots and fixes are, a sentence each, and the fields that were passed over."""
+    import numpy as np
+
+    from ..assessment.psr_ssr import NM, channel_name
+    from ..model import EXCLUDED, Flag
+
+    out: list[str] = []
+    for table, key, what in ((r.plots, "sensor", "plots"), (r.fixes, "source", "fixes")):
+        if not len(table):
+            continue
+        kinds = [(channel_name(k), int(np.count_nonzero(table.channel == k))) for k in np.unique(table.channel).tolist() if k]
+        words = [f"{name} {count:,}" for name, count in kinds]
+        if what == "plots":
+            low, high = float(np.nanmin(table.range_m)), float(np.nanmax(table.range_m))
+            words.append(f"{low / NM:.1f} to {high / NM:.1f} NM" if high > 20e3 else f"{low:,.0f} to {high:,.0f} m")
+        else:
+            ground = int(np.count_nonzero(table.flags & int(Flag.GROUND)))
+            words += [f"{ground:,} on the ground"] if ground else []
+        for name, column in (("Mode S addresses", table.mode_s), ("MMSI", table.mmsi), ("track numbers", table.track)):
+            of = np.unique(np.column_stack([getattr(table, key), column])[column >= 0], axis=0)
+            words += [f"{len(of):,} {name}"] if len(of) else []
+        excluded = int(np.count_nonzero(table.flags & int(EXCLUDED)))
+        words += [f"{excluded:,} flagged as unfit for registration"] if excluded else []
+        out.append(f"{what}: {', '.join(words)}" if words else "")
+    names = {"RE": "reserved expansion fields", "SP": "special purpose fields"}
+    for field, count in sorted(r.passed_over.items()):
+        category, name = field.split()
+        out.append(f"category {category}: {count:,} records have {names[name]} ({name}), which are skipped by their length")
+    return [sentence for sentence in out if sentence]
 
 
 def _print_psr_ssr(console: Any, r: Any) -> None:

@@ -797,7 +797,8 @@ class Records:
     `time_s` (NaN where the record has none), `receive_s` (NaN where not known), `digest` (equal for equal bytes).  `site` has the
     positions that the stream tells: source, latitude, longitude (rad), height (m).  `unknown` counts the blocks of categories
     that cannot be read; `clipped` the positions beyond what their item can hold and `misplaced` (by category) those that are not
-    on Earth: they are no fixes.  `impossible` counts the values that no target can have, by column: they are absent.  `truncated`
+    on Earth: they are no fixes.  `impossible` counts the values that no target can have, by column: they are absent, and
+    `passed_over` the records with reserved expansion or special purpose fields ("021 RE"), which nothing reads.  `truncated`
     counts the times of day that nothing completed; `notes` is what systems say of their sensors: source, category, sensor, what.
     """
 
@@ -820,6 +821,7 @@ class Records:
     notes: Mapping[tuple[int, int, int], str] = field(default_factory=dict)
     misplaced: Mapping[int, int] = field(default_factory=dict)
     impossible: Mapping[str, int] = field(default_factory=dict)
+    passed_over: Mapping[str, int] = field(default_factory=dict)
 
 
 def _columns(
@@ -1118,6 +1120,7 @@ def _join(parts: list[Records]) -> Records:
     clipped = truncated = 0
     misplaced: Counter[int] = Counter()
     impossible: Counter[str] = Counter()
+    passed_over: Counter[str] = Counter()
     rows: dict[str, list[AnyArray]] = {name: [] for name in _ROW_COLUMNS}
     tables: dict[str, list[Any]] = {name: [] for name in ("plots", "fixes", "tracks", "marks")}
     for part in parts:
@@ -1129,6 +1132,7 @@ def _join(parts: list[Records]) -> Records:
         clipped, truncated = clipped + part.clipped, truncated + part.truncated
         misplaced.update(part.misplaced)
         impossible.update(part.impossible)
+        passed_over.update(part.passed_over)
         for name, columns in rows.items():
             columns.append(getattr(part, name))
         for name, found in tables.items():
@@ -1143,7 +1147,7 @@ def _join(parts: list[Records]) -> Records:
     return Records(
         **joined,
         site=tuple(site), damaged=tuple(damaged), unknown=unknown, clipped=clipped, truncated=truncated, notes=notes,
-        misplaced=misplaced, impossible=impossible,
+        misplaced=misplaced, impossible=impossible, passed_over=passed_over,
     )  # fmt: skip
 
 
@@ -1353,9 +1357,14 @@ def _assemble(
     clipped = 0
     misplaced: Counter[int] = Counter()
     impossible: Counter[str] = Counter()
+    passed_over: Counter[str] = Counter()
     for form, edition, rows in groups:
         rows = rows[kept[rows]]
         slots = _slots(form, edition)
+        for name in ("RE", "SP"):
+            there = int(np.count_nonzero(items[rows, slots[name]])) if name in slots else 0
+            if there:
+                passed_over[f"{1 if form == uap.SECOND[1] else form:03d} {name}"] += there
         if form in uap.PLOTS:
             needs, wanted = uap.PLOTS[form]
             mine = rows[_has(items, rows, [slots[i] for i in needs])]
@@ -1405,7 +1414,7 @@ def _assemble(
         marks=_ordered(Marks, marks), offset=start[rows] + state.offset, length=length[rows], category=category[rows],
         source=source[rows], time_s=time_s[rows], receive_s=received[rows], digest=digest[rows], site=tuple(site), damaged=(),
         unknown={}, clipped=clipped, truncated=int(np.count_nonzero((period > 0) & np.isfinite(tod) & np.isnan(time_s) & kept)),
-        notes=notes, misplaced=misplaced, impossible=impossible,
+        notes=notes, misplaced=misplaced, impossible=impossible, passed_over=passed_over,
     )  # fmt: skip
     return records, replace(
         state, latest_s=latest, stamps=stamps, heard=clocks, doubted=doubts, editions=editions, records=state.records + len(rows)
@@ -1507,6 +1516,7 @@ def read_asterix(
         by_category={int(c): int(np.count_nonzero(records.category == c)) for c in np.unique(records.category)},
         offset=records.offset,
         receive_s=np.empty(0) if reader.kind == "raw" else records.receive_s,
+        passed_over=dict(records.passed_over),
     )
 
 
