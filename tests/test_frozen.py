@@ -15,6 +15,7 @@ import pytest
 from boresight import flow
 from boresight.assessment.requirement import Figure, Requirement
 from boresight.calibration import load_calibration, save_calibration
+from boresight.cli import main
 from boresight.errors import InputError
 from boresight.frozen import SCHEMA, Settings, load_frozen, save_frozen
 from boresight.model import Sensors, load_sensors
@@ -27,6 +28,19 @@ REQUIREMENT = Requirement(
     edition="1",
     figure=(Figure(clause="1", quantity="range_bias", max=100.0, unit="m", kinds=("mode_s",)),),
 )
+
+# The same as a file.
+TOML = """
+name = "Spec"
+source = "here"
+edition = "1"
+[[figure]]
+clause = "1"
+quantity = "range_bias"
+max = 100.0
+unit = "m"
+kinds = ["mode_s"]
+"""
 
 
 @pytest.fixture(scope="module")
@@ -110,11 +124,12 @@ def test_a_result_that_was_changed_by_hand_is_different(copy: Path, how: str) ->
     elif how == "last digit":
         save_calibration(dataclasses.replace(found, value=np.nextafter(found.value, np.inf)), path)
     else:
-        from boresight.assessment.residuals import load_residuals
-        from boresight.writing.tables import write_table
+        import duckdb
 
-        left = load_residuals(copy / "out" / "residuals.parquet")
-        write_table(copy / "out" / "residuals.parquet", left.replace(range_after_m=left.range_after_m + 1.0))
+        path = copy / "out" / "residuals.parquet"
+        changed = "SELECT * REPLACE (range_after_m + 1.0 AS range_after_m)"
+        duckdb.execute(f"COPY ({changed} FROM read_parquet('{path}')) TO '{copy}/new.parquet' (FORMAT parquet)")
+        (copy / "new.parquet").replace(path)
     seen = flow.verify(copy / "out")
     assert not seen.same
     assert seen.changed == (("residuals.parquet",) if how == "residuals" else ("calibration.json",))
@@ -122,6 +137,37 @@ def test_a_result_that_was_changed_by_hand_is_different(copy: Path, how: str) ->
     # Within the tolerance nothing differs, but the file is not the one that was written.
     assert (how == "last digit") == (not seen.differences)
     assert how == "last digit" or any(said[how] in text for text in seen.differences)
+
+
+def test_the_commands_and_their_exit_codes(made: Path, copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def run(*arguments: str | Path) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as stopped:
+            main([str(a) for a in arguments])
+        said = capsys.readouterr()
+        return int(str(stopped.value.code)), said.out, said.err
+
+    code, out, _ = run("verify", made / "out")
+    assert (code, "the same, bit for bit" in out) == (0, True)
+    path = copy / "out" / "calibration.json"
+    found = load_calibration(path)
+    save_calibration(dataclasses.replace(found, value=found.value + found.sd), path)
+    code, out, _ = run("verify", copy / "out", "--json")
+    assert (code, json.loads(out)["changed"]) == (1, ["calibration.json"])
+    code, out, err = run("verify", tmp_path)
+    assert (code, out, len(err.splitlines())) == (2, "", 1)
+
+    (tmp_path / "r.toml").write_text(TOML)
+    code, out, _ = run(
+        "assess", "requirement", made / "out", "--requirement", tmp_path / "r.toml", "--json", "--out", tmp_path / "c.json"
+    )
+    assert (code, json.loads(out)) == (0, json.loads((tmp_path / "c.json").read_text()))
+    assert json.loads(out) == json.loads((made / "out" / "conformity.json").read_text())
+    code, _, err = run("assess", "requirement", made / "out", "--requirement", tmp_path / "r.toml", "--out", tmp_path / "c.json")
+    assert (code, "exists" in err) == (2, True)
+    code, _, err = run("assess", "requirement", made / "out", "--requirement", "imo-msc192-79")
+    assert (code, "no figure for the kinds" in err) == (2, True)
+    code, _, err = run("assess", "requirement", tmp_path / "none", "--requirement", tmp_path / "r.toml")
+    assert (code, "does not exist" in err) == (2, True)
 
 
 def test_other_versions_are_said(copy: Path) -> None:

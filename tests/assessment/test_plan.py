@@ -186,7 +186,7 @@ def test_without_residuals_the_variance_goes_with_the_number_of_targets(seen: tu
     assert made.same is not None
     assert made.same.targets == math.ceil(3 * found.sensors[0].targets - 1e-9)
     assert made.goals[0].expected == pytest.approx(made.goals[0].wanted)
-    assert any("residuals.parquet is not beside" in note for note in made.notes)
+    assert any("no residuals of this sensor" in note for note in made.notes)
 
 
 def test_a_calibration_that_does_not_tell_the_effects(seen: tuple[Calibration, Residuals]) -> None:

@@ -44,7 +44,7 @@ _LENGTH_M = 35.0
 # How many times as many targets may be needed where there is traffic as would do elsewhere.
 _RATHER_SEEN = 3.0
 # How many targets the typical sizes of effects count for.
-_TYPICAL = 2.0
+_TYPICAL = 3.0
 # How many times the time is lengthened by half in which the traffic that comes is to do it.
 _LONGER = 8
 
@@ -431,7 +431,7 @@ def _refused(
 def _more_of_the_same(s: Summary, goals: Mapping[str, float], now: Mapping[str, float], alone: bool, notes: list[str]) -> Plan:
     """Without the residuals: so many targets like those at hand, because the variance goes with their number."""
     notes.append(
-        "residuals.parquet is not beside the calibration: where to record cannot be told, only how many more such targets"
+        "no residuals of this sensor are beside the calibration: where to record cannot be told, only how many more such targets"
     )
     have = s.effective_targets if np.isfinite(s.effective_targets) else float(s.targets)
     per = s.targets / max(have, 1.0)

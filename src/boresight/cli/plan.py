@@ -27,7 +27,7 @@ def plan(
     Parameters
     ----------
     calibration
-        calibration.json, as calibrate writes it.
+        calibration.json, as calibrate writes it, or the folder that holds it.
     sd
         Wanted standard deviation of an error in its unit, as azimuth_bias=0.005; several may be given.
     sensor
@@ -51,6 +51,8 @@ def plan(
             equals = ""
         if not equals:
             raise SettingsError(f"{text!r} is no error and its sd", where="--sd", remedy="Example: --sd azimuth_bias=0.005")
+    if calibration.is_dir():
+        calibration = calibration / "calibration.json"
     found = load_calibration(calibration)
     beside = calibration.parent / "residuals.parquet"
     made = make(found, wanted, load_residuals(beside) if beside.exists() else None, sensor=sensor, alone=alone)
