@@ -29,7 +29,8 @@ def convert(
 ) -> None:
     """Write a recording in another format: Parquet, CSV, GeoJSON, KML, ASTERIX or NMEA.
 
-    ASTERIX of any length goes to Parquet and CSV part by part (0.8 GB for 20 million plots); all else is held as a whole.
+    Rows keep the order of the records in the file.  ASTERIX of any length goes to Parquet and CSV part by part, in less than
+    0.7 GB of memory; all else is held as a whole.
 
     Parameters
     ----------
