@@ -299,7 +299,7 @@ def test_held_terms_are_not_applied_and_the_others_make_up_for_it() -> None:
     values = {"range_bias": 100.0, "range_gain": 1e-3}
     one = calibration(values)
     verdict = Verdict(channel="all", term="range_gain", decision="hold", why="it gains nothing")
-    covariance = np.array([[[100.0, -9e-3], [-9e-3, 1e-6]]])
+    covariance = np.array([[[100.0, -9e-3], [-9e-3, 1e-6]]])  # correlation -0.9; the gain is 1 sd from zero
     held = Calibration(
         one.terms, one.epoch_s, one.value, covariance,
         sensors=(msgspec.structs.replace(one.sensors[0], verdicts=(verdict,)),),
@@ -329,9 +329,10 @@ def test_what_is_advised_is_what_a_fit_without_the_held_terms_gives(seed: int, h
     names = ["range_bias", "range_gain", "azimuth_bias", "azimuth_cos", "azimuth_sin", "time_offset", "site_east", "site_north"]
     scale = np.array([1.0, 1e-3, 1e-3, 1e-4, 1e-4, 0.1, 1.0, 1.0])
     design = rng.normal(size=(60, 8)) @ (np.eye(8) + 0.7 * rng.normal(size=(8, 8))) / scale
-    y = design @ (scale * rng.normal(size=8)) + rng.normal(size=60)
     keep = np.ones(8, bool)
     keep[rng.choice(8, held, replace=False)] = False
+    # The held ones are not there, and the noise is a third of what the covariance says: nothing contradicts that they are zero.
+    y = design @ (scale * rng.normal(size=8) * keep) + rng.normal(size=60) / 3
     full = np.linalg.inv(design.T @ design)
     verdicts = tuple(
         Verdict(channel="all", term=n, decision="apply" if k else rng.choice(["hold", "insufficient"]), why="")
@@ -375,3 +376,24 @@ def test_terms_are_chosen_by_verdict_or_by_name() -> None:
         with pytest.raises(SettingsError, match=r"range_bias@psr|no term is named"):
             chosen(found, wrong)
     assert len(advised(found, "azimuth_bias").terms) == 1
+
+
+def test_a_held_term_that_is_there_does_not_spoil_the_others() -> None:
+    """A gain of ten sd that is not applied is not zero for that: the others stay as they were found beside it."""
+    one = calibration({"range_bias": 100.0, "range_gain": 1e-2, "azimuth_bias": 0.1, "range_lag": 5.0})
+    covariance = np.diag([100.0, 1e-6, 1e-4, 1.0])
+    covariance[0, 1] = covariance[1, 0] = -9e-3
+    covariance[0, 3] = covariance[3, 0] = 8.0
+    found = Calibration(one.terms, one.epoch_s, one.value, covariance[None], sensors=one.sensors)
+    for terms in ("range_bias,azimuth_bias,range_lag", "range_bias,azimuth_bias"):
+        less = advised(found, terms)
+        assert less.value[0, 0] == 100.0
+        assert less.covariance[0, 0, 0] == pytest.approx(100.0)
+    # Several that are each within their sd may together be there all the same.
+    both = np.array([[1.0, -0.99], [-0.99, 1.0]])
+    pair = calibration({"site_east": 2.0, "site_north": 2.0, "range_bias": 5.0})
+    covariance = np.eye(3)
+    covariance[:2, :2] = both
+    covariance[2, 0] = covariance[0, 2] = 0.05
+    found = Calibration(pair.terms, pair.epoch_s, pair.value, covariance[None], sensors=pair.sensors)
+    assert advised(found, "range_bias").value[0, 0] == 5.0

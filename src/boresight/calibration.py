@@ -262,25 +262,56 @@ def advised(calibration: Calibration, terms: str | Sequence[str] = "advised") ->
 
     What is left out is not simply dropped: the others had made room for it.  With the estimates v and their covariance C, the
     terms applied (a) become ``v_a - C_ah C_hh^-1 v_h`` with ``C_aa - C_ah C_hh^-1 C_ha`` where the terms h are zero: what
-    a least-squares fit without them gives (exactly, for a linear model and weights that stay).  `terms` as in `chosen`, which
+    a least-squares fit without them gives (exactly, for a linear model and weights that stay).  Only terms that may be zero are
+    taken for it (`at_zero`); beside the others, values and covariance stay as they were found.  `terms` as in `chosen`, which
     also raises SettingsError.
     """
     take, _ = chosen(calibration, terms)
     if take.all():
         return calibration
+    zero = at_zero(calibration, take)
     epochs, count = len(calibration.epoch_s), int(take.sum())
     value, covariance = np.empty((epochs, count)), np.empty((epochs, count, count))
     for k in range(epochs):
-        c = calibration.covariance[k]
-        # Terms differ by orders of magnitude in size: solved in units of their own sd.
-        scale = np.sqrt(np.maximum(np.diag(c), np.finfo(float).tiny))
-        r = c / scale[:, None] / scale
-        gain = np.linalg.lstsq(r[np.ix_(~take, ~take)], r[np.ix_(~take, take)], rcond=None)[0].T
-        value[k] = calibration.value[k, take] - scale[take] * (gain @ (calibration.value[k, ~take] / scale[~take]))
-        left = (r[np.ix_(take, take)] - gain @ r[np.ix_(~take, take)]) * scale[take][:, None] * scale[take]
+        r, scale = _correlation(calibration.covariance[k])
+        gain = np.linalg.lstsq(r[np.ix_(zero, zero)], r[np.ix_(zero, take)], rcond=None)[0].T
+        value[k] = calibration.value[k, take] - scale[take] * (gain @ (calibration.value[k, zero] / scale[zero]))
+        left = (r[np.ix_(take, take)] - gain @ r[np.ix_(zero, take)]) * scale[take][:, None] * scale[take]
         covariance[k] = (left + left.T) / 2
     keys = tuple(key for key, here in zip(calibration.terms, take.tolist(), strict=True) if here)
     return replace(calibration, terms=keys, value=value, covariance=covariance)
+
+
+def at_zero(calibration: Calibration, take: BoolArray) -> BoolArray:
+    """Which of the terms that are not applied (``~take``) the others are re-estimated for as if they were zero (p,).
+
+    Not those that the data say are there (alone beyond 2.6 sd at some epoch, or together, by sensor, beyond the 1 % point of
+    chi-squared): to force them to zero would spoil the others.  Nor those that are real but need what plots do not tell.
+    """
+    from scipy.special import chdtri
+
+    apart = np.abs(calibration.value) / np.maximum(calibration.sd, np.finfo(float).tiny)
+    lost = np.array([bool(TERMS[key.name].needs & {"second", "third"}) for key in calibration.terms], bool)
+    zero: BoolArray = ~take & ~lost & (apart <= _THERE_SD).all(axis=0)
+    sensor = np.array([key.sensor for key in calibration.terms])
+    for one in np.unique(sensor[zero]):
+        mine = zero & (sensor == one)
+        for k in range(len(calibration.epoch_s)):
+            r, scale = _correlation(calibration.covariance[k][np.ix_(mine, mine)])
+            z = calibration.value[k, mine] / scale
+            if z @ np.linalg.lstsq(r, z, rcond=None)[0] > chdtri(int(mine.sum()), 0.01):
+                zero &= sensor != one
+    return zero
+
+
+# Beyond this a term is there, whatever it gains (1 % of terms that are not).
+_THERE_SD = 2.576
+
+
+def _correlation(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The correlation (p, p) and the sd (p,): terms differ by orders of magnitude in size."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    return covariance / scale[:, None] / scale, scale
 
 
 def _term_name(key: TermKey) -> str:

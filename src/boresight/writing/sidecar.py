@@ -13,7 +13,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from ..calibration import Calibration, Input, advised, chosen, si_per_unit
+from ..calibration import Calibration, Input, advised, at_zero, chosen, si_per_unit
 from ..errors import InputError
 from ..terms import summarised
 from . import write_bytes
@@ -57,6 +57,7 @@ def terms_done(
     """What a correction by `terms` (as in `calibration.chosen`) does with the terms of `sensors`, at its last epoch."""
     take, why = chosen(calibration, terms)
     used = advised(calibration, terms)
+    zero = at_zero(calibration, take)
     names = {s.sensor: s.name for s in calibration.sensors}
     at = np.cumsum(take) - 1
     out = []
@@ -66,8 +67,19 @@ def terms_done(
         scale = si_per_unit(key)
         value, sd = (float(column[-1, at[k]] / scale) if take[k] else None for column in (used.value, used.sd))
         name = names.get(key.sensor, f"{key.sensor >> 8}/{key.sensor & 255}")
-        out.append(TermDone(name, key.channel, key.name, key.unit, value, sd, why[k]))
+        held = (
+            why[k]
+            if take[k] or zero[k]
+            else f"{why[k]}; the other terms stay as they were found beside it ({_found(calibration, k)})"
+        )
+        out.append(TermDone(name, key.channel, key.name, key.unit, value, sd, held))
     return tuple(out)
+
+
+def _found(calibration: Calibration, k: int) -> str:
+    key = calibration.terms[k]
+    value, sd = (column[-1, k] / si_per_unit(key) for column in (calibration.value, calibration.sd))
+    return f"{value:+.3g} ± {sd:.2g} {key.unit}"
 
 
 def describe(provenance: Provenance) -> str:
