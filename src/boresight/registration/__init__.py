@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import msgspec
@@ -17,6 +18,7 @@ from ..model import EXCLUDED, Pairs, Plots, Sensor, Sensors
 from ..terms import MODELS, TERMS, Term, Whose, kept_out, reference_term, summarised, table_of, terms_of, touches
 from .least_squares import GROUND_KINDS, Dropped, Fit, LeastSquares, accuracy, check_settings, default_model, fit
 from .observe import CHUNK, Observed, fill_lengths, geometry, observe, unusable
+from .select import candidates, judge, search
 
 __all__ = ["LeastSquares", "fill_lengths", "register"]
 
@@ -111,17 +113,27 @@ def _one(
     seen = observe(pairs, rows, sensor, epoch)
     name, wanted = _wanted(sensor, model)
     terms, dropped, notes = _fitting(wanted, seen)
+    searched = _is_auto(sensor, model) and settings.criterion != "none"
+    offered = _fitting(candidates(seen), seen)[0] if searched else ()
     terms = (*terms, *_late_sources(terms, seen, pairs))
     if not terms:
         raise NothingToDo(f"sensor {sensor.name!r}: no error can be determined: {'; '.join(d.why for d in dropped)}")
     lengths = seen.length_m
-    if any(t.name == "along_heading_per_length" for t in terms):
+    if any(t.name == "along_heading_per_length" for t in (*terms, *offered)):
         typical = float(np.nanmedian(lengths))
         unknown = ~np.isfinite(lengths)
         if unknown.any():
             notes.append(f"{unknown.sum():,} pairs are of targets of unknown length: {typical:.0f} m, the median, is taken")
             seen = _with_length(seen, np.where(unknown, typical, lengths))
-    fitted = fit(seen, terms, settings)
+    if searched:
+        name = "auto"
+        likely = frozenset(t.name for t in terms)
+        find = partial(search, likely=likely, settings=settings)
+        fitted = fit(seen, terms, settings, candidates=offered, search=find)
+        untested = [c for c in fitted.choices if c.action == "not tested"]
+        dropped += [Dropped(term, c.why) for c in untested for term in c.term.split(" + ")]
+    else:
+        fitted = fit(seen, terms, settings)
     dropped += [d for d in fitted.dropped if not d.term.startswith(_REFERENCE)]
     notes += _said_of_sources(fitted, seen, pairs)
     notes += [*(d.note for d in fitted.dropped if d.note), *fitted.notes]
@@ -146,6 +158,8 @@ def _one(
         )
         notes.append(f"range_bias holds the common part of the transponders' delays, which nothing can tell from it{sd}")
     notes += _primary(pairs.plots, rows, fitted)
+    vertical = np.einsum("i,nij,j->n", seen.rotation[2], pairs.covariance[seen.row], seen.rotation[2])
+    verdicts, budget = judge(seen, fitted, dropped, vertical)
     before, after, held = accuracy(seen, fitted)
     noise = fitted.noise_sd
     summary = Summary(
@@ -164,6 +178,10 @@ def _one(
         held_out_before_p95_m=_accuracy(before[np.isfinite(held)]).p95_m,
         held_out_after_p95_m=_accuracy(held).p95_m,
         notes=tuple(notes),
+        criterion=settings.criterion if searched else "",
+        choices=fitted.choices,
+        verdicts=verdicts,
+        budget=budget,
         effects=fitted.effects,
     )
     return _Found(seen, fitted, summary, [NotDetermined(sensor.key, d.term, d.why) for d in dropped])
@@ -171,6 +189,11 @@ def _one(
 
 def _with_length(seen: Observed, length: FloatArray) -> Observed:
     return replace(seen, length_m=length)
+
+
+def _is_auto(sensor: Sensor, model: str | Sequence[str]) -> bool:
+    """Whether nobody has said what the model of this sensor is."""
+    return isinstance(model, str) and model == "auto" and sensor.model in (None, "auto")
 
 
 def _wanted(sensor: Sensor, model: str | Sequence[str]) -> tuple[str, tuple[Term, ...]]:

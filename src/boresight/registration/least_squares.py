@@ -180,7 +180,7 @@ class Fit(NamedTuple):
     (w,), `scores` (G, w) with `information` (G, w, w), and `influence` (G, w, p) on the normal equations.  `held_out` (G, p) is
     the value found without the fold of each target; `normal` (G, p + 1, p + 1) are the targets' normal equations, about zero
     and in units of the terms' prior sd.  `choices` are the steps of the search for the model, `effects` the random errors that
-    plots share.
+    plots share; `reference_share` is how much of the variance that the reference states of itself changes from plot to plot.
     """
 
     terms: tuple[Term, ...]
@@ -203,6 +203,7 @@ class Fit(NamedTuple):
     dropped: tuple[Dropped, ...]
     notes: tuple[str, ...]
     effects: tuple[Effect, ...]
+    reference_share: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,7 +281,7 @@ def fit(
                 rounds += 1
                 gone = {t.name for t in chosen} | {d.term for d in dropped}
                 wide = (*chosen, *(t for t in candidates if t.name not in gone))
-                found = search(_wide(some, wide, chosen, settled, settings), wide, chosen, rounds == 1)
+                found = search(_wide(some, wide, chosen, start, settled, settings), wide, chosen, rounds == 1)
                 steps += found.steps
                 left_out, doubt = found.left_out, found.doubt
                 if found.terms != chosen:
@@ -539,7 +540,7 @@ def _look_at(
     return _Piece(blocks, rows, r[:, : layout.channels], columns, variance)
 
 
-def _grams(columns: Sequence[FloatArray], weight: FloatArray, starts: IntArray) -> FloatArray:
+def grams(columns: Sequence[FloatArray], weight: FloatArray, starts: IntArray) -> FloatArray:
     """``C' diag(w) C`` (blocks, u, u) of u columns (n,) over the blocks of rows that begin at `starts` (blocks,)."""
     u = len(columns)
     out = np.zeros((len(starts), u, u))
@@ -596,11 +597,11 @@ def _products(
         w = robust * noise / own if plain is None else robust / piece.variance
         for k in range(c):
             columns = [np.ascontiguousarray(piece.columns[name][:, k]) for name in names]
-            gram = _grams([*columns, r[:, k]], w[:, k], starts)
+            gram = grams([*columns, r[:, k]], w[:, k], starts)
             mine = out[k, lo - begin : hi - begin]
             np.multiply(gram[:, index[:, None], index], np.outer(scale, scale), out=mine)
             if plain is not None:
-                added = _grams(columns, w[:, k] ** 2 * own[:, k], starts)
+                added = grams(columns, w[:, k] ** 2 * own[:, k], starts)
                 meat[lo - begin : hi - begin] += added[:, own_x[:, None], own_x] * np.outer(prior_sd, prior_sd)
     first_long, last_long = np.searchsorted(layout.long, [begin, end])
     groups = layout.groups
@@ -722,17 +723,30 @@ def _wide(
     some: tuple[Observed, _Layout, IntArray],
     wide: tuple[Term, ...],
     chosen: tuple[Term, ...],
+    start: _State,
     state: _State,
     settings: LeastSquares,
 ) -> FloatArray:
-    """The normal equations (G, q + 1, q + 1) of the `wide` model at the state of the `chosen` one, whose terms come first in it:
-    about zero, in units of the terms' prior sd."""
+    """The normal equations (G, q + 1, q + 1) of the `wide` model, whose first terms are the `chosen` ones.
+
+    They are about zero, in units of the terms' prior sd, and those of the estimate that the chosen model would get: weighed by
+    what plots share, or where that misleads by each plot for itself.
+    """
     part, layout, which = some
-    every = (0, len(which))
+    p, every = len(chosen), (0, len(which))
+    prior_sd = np.array([t.prior_sd for t in chosen])
     pieces = in_threads(lambda blocks: _look_at(part, layout, chosen, state, blocks, wide), _blocks(layout, every))
     products, _ = _products(part, layout, wide, state, settings, every, pieces)
     normal = mixed.reduce(products, state.variances).terms * state.trust[:, None, None]
-    return about_zero(normal, np.r_[state.value / [t.prior_sd for t in chosen], np.zeros(len(wide) - len(chosen))])
+    at, plain_at = state.value / prior_sd, start.value / prior_sd
+    own = np.r_[np.arange(p), len(wide)]
+    narrow = normal[:, own[:, None], own]
+    start, weight = replace(start, trust=np.ones(len(which))), np.empty(len(part))
+    plain, _ = _plain(part, layout, chosen, start, state.variances, settings, weight)
+    both = _compare(mixed.Scores(narrow, narrow[:, :p, :p]), at, plain, plain_at, precision(chosen))
+    if both.chance < settings.agreement:
+        normal, at = _plain(part, layout, chosen, start, state.variances, settings, weight, wide)[0].terms, plain_at
+    return about_zero(normal, np.r_[at, np.zeros(len(wide) - p)])
 
 
 def about_zero(normal: FloatArray, at: FloatArray) -> FloatArray:
@@ -927,30 +941,21 @@ def _finish(
     at = state.value / prior_sd
     trusted = state.trust
     terms_of_targets = reduced.terms * trusted[:, None, None]
-    step = mixed.solve(terms_of_targets, prior, at).value
     scores = mixed.Scores(terms_of_targets, terms_of_targets[:, :p, :p])
-    honest = mixed.honest_covariance(scores, prior, step)
+    plain_weight, plain_at = np.empty(len(seen)), start.value / prior_sd
+    plain, plain_influence = _plain(seen, layout, terms, start, state.variances, settings, plain_weight)
+    both = _compare(scores, at, plain, plain_at, prior)
+    step, honest = both.step, both.honest
     effects = reduced.effects * trusted[:, None, None]
     influence = effects[:, :, w : w + p]
     own_scores = effects[:, :, w + p] - effects[:, :, w : w + p] @ step
-
-    plain_weight = np.empty(len(seen))
-    plain, plain_influence = _plain(seen, layout, terms, start, state.variances, settings, plain_weight)
-    plain_at = start.value / prior_sd
-    plain_step = mixed.solve(plain.terms, prior, plain_at).value
-    plain_honest = mixed.honest_covariance(plain, prior, plain_step)
-    pulls = [
-        (q.terms[:, :p, p] - q.terms[:, :p, :p] @ d) @ h.bread
-        for q, d, h in ((plain, plain_step, plain_honest), (scores, step, honest))
-    ]
-    chance = _agreement((plain_at + plain_step) - (at + step), plain_honest, honest, pulls[0] - pulls[1])
-    if chance < settings.agreement:
+    if both.chance < settings.agreement:
         notes.append(
             "the errors that plots of one target share are not as the model has them (weighting by them changes the result by "
-            f"more than chance, p = {chance:.1g}): every plot counts for itself, and the sd follow the targets' scatter"
+            f"more than chance, p = {both.chance:.1g}): every plot counts for itself, and the sd follow the targets' scatter"
         )
-        scores, honest, influence, at, step, weight = plain, plain_honest, plain_influence, plain_at, plain_step, plain_weight
-        trusted = start.trust
+        scores, honest, influence, weight = plain, both.plain_honest, plain_influence, plain_weight
+        at, step, trusted = plain_at, both.plain_step, start.trust
     scale = np.outer(prior_sd, prior_sd)
     noise = np.full(3, np.nan)
     noise[:c] = np.sqrt(state.variances.noise)
@@ -982,6 +987,7 @@ def _finish(
         dropped=tuple(dropped),
         notes=tuple(notes),
         effects=_shared_effects(seen, layout, state.variances),
+        reference_share=state.reference_share,
     )
 
 
@@ -1004,17 +1010,41 @@ def _plain(
     variances: mixed.Variances,
     settings: LeastSquares,
     weight: FloatArray,
+    wide: tuple[Term, ...] = (),
 ) -> tuple[mixed.Scores, FloatArray]:
-    """The scores (G targets) of least squares in which every plot counts for itself, at the robust start, and their influence."""
+    """The scores (G targets) of least squares in which every plot counts for itself, at the robust start, and their influence;
+    of the `wide` model where one is given."""
 
     def batch(targets: tuple[int, int]) -> tuple[mixed.Scores, FloatArray]:
-        pieces = (_look_at(seen, layout, terms, start, blocks) for blocks in _blocks(layout, targets))
-        products, meat = _products(seen, layout, terms, start, settings, targets, pieces, weight, plain=variances)
+        pieces = (_look_at(seen, layout, terms, start, blocks, wide) for blocks in _blocks(layout, targets))
+        products, meat = _products(seen, layout, wide or terms, start, settings, targets, pieces, weight, plain=variances)
         return mixed.plain_scores(products, meat, variances), mixed.influence(products)
 
     parts = in_threads(batch, _batches(layout))
     scores = mixed.Scores(*(np.concatenate(q) for q in zip(*(part[0] for part in parts), strict=True)))
     return scores, np.concatenate([part[1] for part in parts])
+
+
+class _Both(NamedTuple):
+    """Two estimates of one model, by what plots share and by each plot for itself, and the chance that they differ so much."""
+
+    step: FloatArray
+    honest: mixed.Honest
+    plain_step: FloatArray
+    plain_honest: mixed.Honest
+    chance: float
+
+
+def _compare(scores: mixed.Scores, at: FloatArray, plain: mixed.Scores, plain_at: FloatArray, prior: FloatArray) -> _Both:
+    p = len(at)
+    step, plain_step = mixed.solve(scores.terms, prior, at).value, mixed.solve(plain.terms, prior, plain_at).value
+    honest, plain_honest = (mixed.honest_covariance(q, prior, d) for q, d in ((scores, step), (plain, plain_step)))
+    pulls = [
+        (q.terms[:, :p, p] - q.terms[:, :p, :p] @ d) @ h.bread
+        for q, d, h in ((plain, plain_step, plain_honest), (scores, step, honest))
+    ]
+    chance = _agreement((plain_at + plain_step) - (at + step), plain_honest, honest, pulls[0] - pulls[1])
+    return _Both(step, honest, plain_step, plain_honest, chance)
 
 
 def _agreement(difference: FloatArray, plain: mixed.Honest, weighted: mixed.Honest, pulls: FloatArray) -> float:
