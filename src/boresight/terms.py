@@ -244,25 +244,25 @@ _LIST = (
     Term("tilt_east", "deg", DEG, DEG, _NONE, lambda g: _tilt(g, np.pi / 2), "the azimuth axis leans: elevation too large in the east"),
     Term("time_offset", "s", 1.0, 5.0, frozenset({"rate"}), lambda g: -g.rate, "stamp minus true time: plots are stamped late"),
     Term(
-        "clock_drift", "ms/h", _MS_PER_H, 100 * _MS_PER_H, frozenset({"rate"}), lambda g: -g.rate * g.time_s[:, None],
+        "clock_drift", "ms/h", _MS_PER_H, 500 * _MS_PER_H, frozenset({"rate"}), lambda g: -g.rate * g.time_s[:, None],
         "the time offset grows by this, counted from the calibration's epoch",
     ),
     Term(
-        "range_lag", "s²", 1.0, 5.0, frozenset({"second"}), lambda g: _stack(g.second[:, 0], 0.0, 0.0, g),
+        "range_lag", "s²", 1.0, 50.0, frozenset({"second"}), lambda g: _stack(g.second[:, 0], 0.0, 0.0, g),
         "the range servo follows an acceleration too far (positive) or lags behind it (negative)",
     ),
-    Term("azimuth_lag", "s²", 1.0, 5.0, frozenset({"second"}), lambda g: _azimuth(g.second[:, 1], g), "the same of the azimuth servo"),
+    Term("azimuth_lag", "s²", 1.0, 50.0, frozenset({"second"}), lambda g: _azimuth(g.second[:, 1], g), "the same of the azimuth servo"),
     Term(
-        "elevation_lag", "s²", 1.0, 5.0, frozenset({"elevation", "second"}), lambda g: _stack(0.0, 0.0, g.second[:, 2], g),
+        "elevation_lag", "s²", 1.0, 50.0, frozenset({"elevation", "second"}), lambda g: _stack(0.0, 0.0, g.second[:, 2], g),
         "the same of the elevation servo",
     ),
     Term(
-        "range_jerk", "s³", 1.0, 50.0, frozenset({"third"}), lambda g: _stack(g.third[:, 0], 0.0, 0.0, g),
+        "range_jerk", "s³", 1.0, 1000.0, frozenset({"third"}), lambda g: _stack(g.third[:, 0], 0.0, 0.0, g),
         "the range servo's error that follows the change of the acceleration",
     ),
-    Term("azimuth_jerk", "s³", 1.0, 50.0, frozenset({"third"}), lambda g: _azimuth(g.third[:, 1], g), "the same of the azimuth servo"),
+    Term("azimuth_jerk", "s³", 1.0, 1000.0, frozenset({"third"}), lambda g: _azimuth(g.third[:, 1], g), "the same of the azimuth servo"),
     Term(
-        "elevation_jerk", "s³", 1.0, 50.0, frozenset({"elevation", "third"}), lambda g: _stack(0.0, 0.0, g.third[:, 2], g),
+        "elevation_jerk", "s³", 1.0, 1000.0, frozenset({"elevation", "third"}), lambda g: _stack(0.0, 0.0, g.third[:, 2], g),
         "the same of the elevation servo",
     ),
     Term("site_east", "m", 1.0, 100.0, _NONE, lambda g: _displace(g, -1.0, 0.0, 0.0), "the antenna stands east of the position given"),

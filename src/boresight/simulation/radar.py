@@ -16,7 +16,7 @@ from .._types import AnyArray, BoolArray, FloatArray, IntArray
 from ..geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate
 from ..measure import heading_about, polar_from_enu, polar_motion, position_from_polar, wrap_turn
 from ..model import Channel, Fixes, Flag, Plots, Sensor
-from ..terms import TERMS, Geometry
+from ..terms import Geometry, Term, Whose, late_s, term_of
 from ..writing.asterix import Marks, accuracy_sd_m
 from ..writing.nmea import KNOT_MPS, AisPositions, AisStatics
 from .truth import STEP_S, Truth
@@ -31,11 +31,13 @@ _HEIGHT_QUANTUM_M = 6.25 * 0.3048
 class Radar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One simulated radar: where it stands, how it turns, how well it measures, and its errors.
 
-    `errors` maps names of `terms.TERMS` to values in the terms' own units (deg, m, m/km, s).  With `elevation_sd_deg` it measures
-    elevation.  A quantum of 0 leaves the value as it is.  `kind` decides the identity that its plots carry: mode_s and combined
-    all of it, ssr Mode 3/A and altitude, psr and marine none; a marine radar sees the ships, all others the aircraft.
-    ``identity=False`` takes address, code and callsign away and leaves the altitude.  Secondary ranges carry each aircraft's
-    transponder delay.  `false_plots` are per scan.  `first_north_s` is when the antenna first points north (None: drawn).
+    `errors` maps names of terms (`terms.term_of`, so for one channel too) to values in the terms' own units (deg, m, m/km, s).
+    A clock's drift counts from the scene's start.  With `elevation_sd_deg` it measures elevation.  A quantum of 0 leaves the value
+    as it is.  `kind` decides the identity that its plots carry: mode_s and combined all of it, ssr Mode 3/A and altitude, psr and
+    marine none; a marine radar sees the ships, all others the aircraft.  ``identity=False`` takes address, code and callsign away
+    and leaves the altitude.  Secondary ranges carry each aircraft's transponder delay.  Of a combined radar the share
+    `primary_only` of the plots is the primary's alone; during the share `second_chain` of the scene, its end, the second
+    processing chain works.  `false_plots` are per scan.  `first_north_s` is when the antenna first points north (None: drawn).
     `ground_height_m` is what sensors.toml tells of the ground, or the sea.
     """
 
@@ -65,6 +67,8 @@ class Radar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     height_from_elevation: bool = False
     false_plots: float = 0.0
     ground_height_m: float | None = None
+    primary_only: float = 0.0
+    second_chain: float = 0.0
     errors: dict[str, float] = msgspec.field(default_factory=dict)
 
     @property
@@ -85,8 +89,13 @@ class Radar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     @property
     def time_offset_s(self) -> float:
-        """By how much the stamps are late."""
+        """By how much the stamps of all channels are late, but for the clock's drift."""
         return self.errors.get("time_offset", 0.0)
+
+    @property
+    def values(self) -> tuple[tuple[Term, float], ...]:
+        """The errors as terms with values in SI."""
+        return tuple((term_of(name), value * term_of(name).si_per_unit) for name, value in self.errors.items())
 
 
 class Adsb(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -244,40 +253,41 @@ def _track_numbers(target: IntArray, seconds: FloatArray, longest_gap_s: float, 
 def observe_radar(truth: Truth, radar: Radar, rng: np.random.Generator) -> Observation:
     """The plots of one radar.
 
-    Source: METHODS section 6.  `time_offset` is applied exactly (the stamp is the true time plus the offset); all other terms by
-    their columns at the true geometry.
+    Source: METHODS section 6.  Terms of time are applied exactly (the stamp is the true time plus what it is late); all others
+    by their columns at the true geometry.
     """
     drawn = rng.uniform(0.0, radar.scan_s)
     north = drawn if radar.first_north_s is None else radar.first_north_s
     target, seconds = _passings(truth, radar, north)
-    stamp = truth.epoch_s + seconds + radar.time_offset_s + rng.normal(0.0, 1.0, len(target)) * radar.time_sd_s
+    whose = _whose(truth, radar, target, seconds, rng)
+    late = late_s([t for t, _ in radar.values], [v for _, v in radar.values], seconds, whose)
+    stamp = truth.epoch_s + seconds + late + rng.normal(0.0, 1.0, len(target)) * radar.time_sd_s
     if radar.time_quantum_s > 0:
         stamp = _rounded(stamp, radar.time_quantum_s)
     elif radar.time_sd_s == 0:
         # A POSIX time has a resolution of 0.2 us: take the truth exactly when the stamp says.
-        seconds = np.clip((stamp - truth.epoch_s) - radar.time_offset_s, truth.first_s[target], truth.last_s[target])
+        seconds = np.clip((stamp - truth.epoch_s) - late, truth.first_s[target], truth.last_s[target])
     noise = rng.normal(0.0, 1.0, (len(target), 3))
     noise *= [radar.range_sd_m, math.radians(radar.azimuth_sd_deg), math.radians(radar.elevation_sd_deg or 0.0)]
     seen = rng.random(len(target)) < radar.detection
-    geometry = geometry_at(truth, radar, target, seconds)
+    geometry = geometry_at(truth, radar, target, seconds)._replace(whose=whose)
     low, high = math.radians(radar.min_elevation_deg), math.radians(radar.max_elevation_deg)
     seen &= (geometry.elevation_rad >= low) & (geometry.elevation_rad <= high)
     seen &= (geometry.range_m >= radar.min_range_m) & (geometry.range_m <= radar.max_range_m)
 
     measured = np.stack([geometry.range_m, geometry.azimuth_rad, geometry.elevation_rad], axis=1)
-    for name, value in radar.errors.items():
-        if name != "time_offset":
-            measured += value * TERMS[name].si_per_unit * TERMS[name].columns(geometry)
-    secondary = radar.kind not in _PRIMARY
-    if secondary:
-        measured[:, 0] += truth.aircraft.transponder_delay_m[target]
+    for term, value in radar.values:
+        if not term.is_time:
+            measured += value * term.columns(geometry)
+    secondary = whose.channel != Channel.PSR
+    measured[secondary, 0] += truth.aircraft.transponder_delay_m[target[secondary]]
     measured += noise
     seen &= measured[:, 0] > 0
 
     kept = np.flatnonzero(seen)
     kept = kept[np.argsort(stamp[kept], kind="stable")]
     target, seconds, stamp, measured, noise = target[kept], seconds[kept], stamp[kept], measured[kept], noise[kept]
-    plots = _plots(truth, radar, target, seconds, stamp, measured, rng)
+    plots = _plots(truth, radar, target, seconds, stamp, measured, Whose(*(column[kept] for column in whose)), rng)
     marks = _north_marks(truth, radar, north)
     if radar.false_plots > 0:
         plots, target, seconds, noise = _with_false_plots(truth, radar, north, plots, target, seconds, noise, rng)
@@ -292,17 +302,19 @@ def _plots(
     seconds: FloatArray,
     stamp: FloatArray,
     measured: FloatArray,
+    whose: Whose,
     rng: np.random.Generator,
 ) -> Plots:
-    """The table of the measured values, with the identity that the radar's kind gives."""
+    """The table of the measured values, with the identity that each plot's channel gives."""
     craft = truth.aircraft
-    secondary, addressed = radar.kind not in _PRIMARY, radar.kind in ("mode_s", "combined")
+    secondary, addressed = whose.channel != Channel.PSR, np.isin(whose.channel, (Channel.MODE_S, Channel.MODE_S_PSR))
     origin, rotation = site(radar)
     azimuth = wrap_turn(_rounded(measured[:, 1], math.radians(radar.azimuth_quantum_deg)))
     columns: dict[str, AnyArray] = {
         "time_s": stamp,
         "sensor": np.full(len(target), radar.sac << 8 | radar.sic),
-        "channel": np.full(len(target), _CHANNELS[radar.kind]),
+        "channel": whose.channel,
+        "flags": whose.flags,
         "range_m": _rounded(measured[:, 0], radar.range_quantum_m),
         "azimuth_rad": azimuth,
         "track": _track_numbers(target, seconds, 5.5 * radar.scan_s, rng),
@@ -311,20 +323,31 @@ def _plots(
         columns["elevation_rad"] = _rounded(measured[:, 2], math.radians(radar.elevation_quantum_deg))
         if radar.height_from_elevation:
             columns["height_m"] = geodetic_from_ecef(position_from_polar(measured, origin, rotation))[2]
-    if secondary:
+    if secondary.any():
         position = truth.motion(target, seconds, derivatives=0).position
         altitude = truth.geodetic(position)[2] + craft.altimetry_m[target]
         quantum = craft.altitude_quantum_m[target]
-        columns["pressure_altitude_m"] = np.rint(altitude / quantum) * quantum
+        columns["pressure_altitude_m"] = np.where(secondary, np.rint(altitude / quantum) * quantum, np.nan)
         if radar.identity:
-            columns["mode_3a"] = craft.mode_3a[target]
-    if addressed and radar.identity:
-        columns["mode_s"] = craft.mode_s[target]
-        columns["callsign"] = craft.callsign[target]
+            columns["mode_3a"] = np.where(secondary, craft.mode_3a[target], -1)
+            columns["mode_s"] = np.where(addressed, craft.mode_s[target], -1)
+            columns["callsign"] = np.where(addressed, craft.callsign[target], -1)
     return Plots(**columns)
 
 
-_PRIMARY = ("psr", "marine")
+def _whose(truth: Truth, radar: Radar, target: IntArray, seconds: FloatArray, rng: np.random.Generator) -> Whose:
+    """Channel and flags of the plots: of a combined radar some are the primary's alone, and its second chain takes over late."""
+    n = len(target)
+    channel = np.full(n, _CHANNELS[radar.kind], np.int8)
+    if radar.primary_only > 0:
+        channel[rng.random(n) < radar.primary_only] = Channel.PSR
+    flags = np.zeros(n, np.uint32)
+    if radar.second_chain > 0:
+        span = float(truth.last_s.max()) if len(truth) else 0.0
+        flags[seconds >= (1.0 - radar.second_chain) * span] = Flag.CHAIN_2
+    return Whose(channel, flags, np.full(n, -1, np.int32))
+
+
 _CHANNELS = {
     "psr": Channel.PSR,
     "marine": Channel.PSR,

@@ -13,7 +13,7 @@ import numpy as np
 from .._types import IntArray
 from ..errors import SettingsError
 from ..model import Fixes, Plots, Sensors, check_sensors, pack_callsigns
-from ..terms import TERMS
+from ..terms import term_of
 from ..writing.asterix import Marks
 from .radar import Adsb, Ais, AisLog, Observation, Radar, observe_adsb, observe_ais, observe_radar
 from .truth import Aircraft, Airport, Atmosphere, Shipping, Traffic, Truth, fly_traffic, sail_shipping
@@ -131,14 +131,20 @@ def check_scenario(scenario: Scenario, where: str = "scenario") -> None:
         if radar.kind not in _KINDS:
             raise SettingsError(f"kind = {radar.kind!r} is not simulated", where=place, remedy=f"Known: {', '.join(_KINDS)}.")
         for term in radar.errors:
-            if term not in TERMS:
-                raise SettingsError(f"there is no error term {term!r}", where=place, remedy=f"Terms: {', '.join(TERMS)}.")
-            if "elevation" in TERMS[term].needs and radar.elevation_sd_deg is None:
+            try:
+                needs = term_of(term).needs
+            except SettingsError as error:
+                raise SettingsError(f"there is no error term {term!r}", where=place, remedy=error.remedy) from error
+            if "elevation" in needs and radar.elevation_sd_deg is None:
                 raise SettingsError(f"{term} needs a radar that measures elevation", where=place, remedy="Give elevation_sd_deg.")
         if radar.kind == "marine" and scenario.shipping is None:
             raise SettingsError("a marine radar sees ships, and there are none", where=place, remedy="Give [shipping].")
         if not 0 < radar.detection <= 1 or min(radar.time_sd_s, radar.false_plots) < 0:
             raise SettingsError("detection must be within 0 … 1, time_sd_s and false_plots not negative", where=place)
+        if not (0 <= radar.primary_only <= 1 and 0 <= radar.second_chain <= 1):
+            raise SettingsError("primary_only and second_chain must be within 0 … 1", where=place)
+        if radar.primary_only > 0 and radar.kind != "combined":
+            raise SettingsError("primary_only is of combined radars", where=place, remedy='Give kind = "combined".')
     shipping = scenario.shipping
     if shipping is not None:
         place = f"{where}: shipping"
