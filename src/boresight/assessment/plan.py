@@ -43,6 +43,8 @@ _MOST_TARGETS = 5_000
 _LENGTH_M = 35.0
 # How many times as many targets may be needed where there is traffic as would do elsewhere.
 _RATHER_SEEN = 3.0
+# Lines of a table that is read.
+_MOST_LINES = 16
 # How many targets the typical sizes of effects count for.
 _TYPICAL = 3.0
 # How many times the time is lengthened by half in which the traffic that comes is to do it.
@@ -744,9 +746,13 @@ def plan_text(found: Plan) -> str:
         elif found.legs:
             lines.append("More of the same traffic would not do it.")
         if found.legs:
-            lines.append(f"The fewest targets that would do it, {with_it}:")
+            fewest = found.same is None or found.targets <= found.same.targets
+            lines.append(
+                f"The fewest targets that would do it, {with_it}:" if fewest else "Of such traffic, the part that would do it:"
+            )
             table = [("sector", "range", "height", "flying", "targets", "minutes each", "came per hour", "time")]
-            for leg in found.legs:
+            most = sorted(found.legs, key=lambda leg: -leg.targets)[:_MOST_LINES]
+            for leg in [leg for leg in found.legs if leg in most]:
                 far = leg.to_m >= 5000
                 ring = f"{leg.from_m / 1e3:.0f}–{leg.to_m / 1e3:.0f} km" if far else f"{leg.from_m:.0f}–{leg.to_m:.0f} m"
                 table.append(
@@ -762,6 +768,9 @@ def plan_text(found: Plan) -> str:
                     )
                 )
             lines += _table(table, left=(0, 2, 3))
+            if len(found.legs) > len(most):
+                rest = found.targets - sum(leg.targets for leg in most)
+                lines.append(f"  … and {rest} in {len(found.legs) - len(most)} other places, which --json lists")
             whole = f", about {_hours(found.hours)} of recording" if math.isfinite(found.hours) else ""
             lines.append(f"  {found.targets:,} targets in all{whole}")
     lines += [f"note: {note}" for note in found.notes]
