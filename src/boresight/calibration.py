@@ -18,6 +18,7 @@ from .terms import DEG, TABLES, TERMS, summarised
 
 SCHEMA = "boresight-calibration/1"
 Decision = Literal["apply", "hold", "insufficient"]
+Criterion = Literal["cross-validation", "bic", "none"]
 
 
 class TermKey(msgspec.Struct, frozen=True):
@@ -211,9 +212,21 @@ class Calibration:
                 f"  on targets that were held out: median {s.held_out_before_median_m:.1f} m before, "
                 f"{s.held_out_after_median_m:.1f} m after"
             )
+        for v in s.verdicts:
+            lines.append(f"  {v.decision}: {v.term if v.channel == 'all' else f'{v.term} ({v.channel})'}: {v.why}")
+        if s.criterion:
+            lines.append(f"  model by {s.criterion}: {_path(s.choices)}")
         lines += [f"  not determined: {n.term}: {n.why}" for n in self.not_determined if n.sensor == s.sensor]
         lines += [f"  note: {note}" for note in s.notes]
         return "\n".join(lines)
+
+
+def _path(choices: Sequence[Choice]) -> str:
+    """The search for a model in one line."""
+    sign = {"add": "+ {}", "drop": "- {}", "replace": "{}", "not tested": "{} not tested"}
+    steps = [sign[c.action].format(f"({c.term})" if " + " in c.term else c.term) for c in choices if c.action in sign]
+    left = sum(c.action == "leave out" for c in choices)
+    return f"{', '.join(steps) or 'as it began'}; {_count(left, 'other')} left out"
 
 
 def chosen(calibration: Calibration, terms: str | Sequence[str] = "advised") -> tuple[BoolArray, tuple[str, ...]]:
@@ -667,6 +680,18 @@ def summary_json(calibration: Calibration) -> dict[str, Any]:
                     "why": v.why,
                 }
                 for v in s.verdicts
+            ],
+            "criterion": s.criterion,
+            "choices": [
+                {
+                    "action": c.action,
+                    "term": c.term,
+                    "criterion": _null(c.criterion),
+                    "change": _null(c.change),
+                    "change_sd": _null(c.change_sd),
+                    "why": c.why,
+                }
+                for c in s.choices
             ],
         }
     notes = [f"{s.name}: {note}" for s in calibration.sensors for note in s.notes]

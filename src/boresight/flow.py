@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .assessment.requirement import Conformity, Requirement
     from .assessment.residuals import Residuals
     from .association import Association
-    from .calibration import Calibration, Input
+    from .calibration import Calibration, Criterion, Input
     from .frozen import Frozen
     from .heights import HeightProfile
     from .report import Evidence
@@ -97,6 +97,7 @@ def calibrate(
     model: str | Sequence[str] = "auto",
     date: datetime.date | None = None,
     editions: Mapping[int, str] | None = None,
+    criterion: Criterion = "cross-validation",
     out: str | Path | None = None,
     truth: Mapping[str, Mapping[str, float]] | None = None,
     title: str = "",
@@ -107,7 +108,8 @@ def calibrate(
 
     With `out` (a folder), writes calibration.json, residuals.parquet, report.html and run.json there, each whole or not at all;
     files of those names that were there are moved to ``earlier-1``, ``earlier-2`` …  With `requirement`, judges the radars by it
-    and writes conformity.json too.  `truth` holds the true values of a simulated scene: sensor name -> term -> value in its unit.
+    and writes conformity.json too.  The model "auto" is searched by `criterion`.  `truth` holds the true values of a simulated
+    scene: sensor name -> term -> value in its unit.
 
     Raises InputError for files that cannot be used, SettingsError for sensors or terms that make no sense, NothingToDo where the
     recordings do not overlap or nothing in them can be paired.
@@ -121,7 +123,7 @@ def calibrate(
     from .measure import site_warnings
     from .platform import fix_platforms
     from .reading.site import site_disagreements
-    from .registration import register
+    from .registration import LeastSquares, register
     from .report import gather
     from .terms import terms_of
     from .writing.sidecar import corrected_before
@@ -140,6 +142,7 @@ def calibrate(
         model=model if isinstance(model, str) else tuple(model),
         date=date,
         editions=dict(editions or {}),
+        criterion=criterion,
         truth={name: dict(terms) for name, terms in (truth or {}).items()},
         title=title,
         requirement=requirement,
@@ -172,7 +175,7 @@ def calibrate(
     association = search(measured, fixes, sensors)
     warnings += association.warnings
     progress("estimating the errors")
-    found = register(association.pairs, sensors, model=model)
+    found = register(association.pairs, sensors, model=model, settings=LeastSquares(criterion=criterion))
     found = replace(
         found,
         inputs=tuple(_input(file) for path in [*plots, *reference] for file in _files_of(path)),
@@ -297,6 +300,7 @@ def verify(folder: str | Path, *, inputs: str | Path | None = None, progress: Pr
         model=settings.model,
         date=settings.date,
         editions=settings.editions,
+        criterion=settings.criterion,
         truth=settings.truth,
         title=settings.title,
         requirement=settings.requirement,

@@ -23,7 +23,7 @@ from . import __version__
 from ._files import write_bytes
 from ._types import AnyArray
 from .assessment.requirement import Requirement
-from .calibration import Calibration, Input
+from .calibration import Calibration, Criterion, Input
 from .errors import InputError
 from .model import Sensors
 
@@ -54,6 +54,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     truth: dict[str, dict[str, float]]
     title: str
     requirement: Requirement | None
+    criterion: Criterion = "cross-validation"
 
 
 class Frozen(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

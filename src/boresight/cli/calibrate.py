@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -19,6 +19,7 @@ def calibrate(
     sensors: Path,
     out: Path | None = None,
     model: Annotated[str, Parameter(name="--model")] = "auto",
+    select: Annotated[Literal["cross-validation", "bic", "none"], Parameter(name="--select")] = "cross-validation",
     date: Date = None,
     edition: Editions | None = None,
     requirement: str | None = None,
@@ -40,7 +41,9 @@ def calibrate(
     out
         Folder for the results.
     model
-        auto (by kind of sensor), constant, atc, surface, or a comma-separated list of error terms.
+        auto (the error terms that the data show), constant, atc, surface, or a comma-separated list of error terms.
+    select
+        How auto chooses: cross-validation (by targets held out), bic (faster), or none (the usual terms of the kind of sensor).
     date
         UTC date of the first record, as 2016-05-10.
     edition
@@ -64,6 +67,7 @@ def calibrate(
             model=model,
             date=date_of(date),
             editions=editions_of(edition),
+            criterion=select,
             out=out,
             requirement=wanted,
             progress=step,

@@ -10,14 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import msgspec
 import numpy as np
 
 from .._parallel import in_threads, slices
 from .._types import BoolArray, FloatArray, IntArray
-from ..calibration import Choice, Effect
+from ..calibration import Choice, Criterion, Effect
 from ..errors import NothingToDo, SettingsError
 from ..model import Sensor
 from ..terms import CHANNELS, DEG, TERMS, Term, precision, table_of
@@ -42,7 +42,6 @@ _BATCH_BLOCKS = 2_000
 _FOLDS = 5
 # How often the search for a model is repeated with what is then known of the random errors.
 _ROUNDS = 3
-Criterion = Literal["cross-validation", "bic", "none"]
 
 
 class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
