@@ -15,6 +15,7 @@ from .. import __version__
 from ..errors import BoresightError
 from .assess import assess
 from .calibrate import calibrate
+from .compare import compare
 from .convert import convert
 from .correct import correct
 from .demo import demo
@@ -31,7 +32,7 @@ app = cyclopts.App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _command in (demo, info, calibrate, correct, convert, assess, verify, plan, warm):
+for _command in (demo, info, calibrate, correct, convert, assess, compare, verify, plan, warm):
     app.command(_command)
 
 

@@ -210,7 +210,7 @@ def _scale_bar(axes: Axes, width_m: float, lon_lim: tuple[float, float], lat_lim
 def _north_arrow(axes: Axes) -> None:
     axes.annotate(
         "N", (0.955, 0.97), (0.955, 0.87), xycoords="axes fraction", textcoords="axes fraction", ha="center", va="center",
-        fontsize=8, fontweight="bold", color=INK, 
+        fontsize=8, fontweight="bold", color=INK,
         arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 1.0, "shrinkA": 2, "shrinkB": 0},
     )  # fmt: skip
 
@@ -222,18 +222,21 @@ _CAUSES = {
     "bias": "systematic errors",
     "noise": "random error of a plot",
     "reference": "the reference's own error",
-    "timing": "time stamps",
+    "timing": "late or early stamps",
     "height": "unknown heights",
 }
 
 
 def budget_figure(
-    budget: Sequence[Share], left: tuple[float, float], seen: tuple[tuple[float, float], tuple[float, float]], name: str
+    budget: Sequence[Share],
+    left: Mapping[str, tuple[float, float]],
+    seen: tuple[tuple[float, float], tuple[float, float]],
+    name: str,
 ) -> Drawing | None:
     """Where a plot's error comes from, in range and across it, before and after correction (rms, metres).
 
-    `left` is what correction leaves of the systematic errors (its uncertainty) in range and across (m, NaN: not known); `seen`
-    are the rms of the residuals before and after, each in range and across.
+    `left` is what correction leaves of a cause (its uncertainty) in range and across (m, NaN: not known); `seen` are the rms
+    of the residuals before and after, each in range and across.
     """
     shares = [b for b in budget if np.isfinite(b.range_m) or np.isfinite(b.cross_m)]
     if not shares:
@@ -242,8 +245,8 @@ def budget_figure(
     before = np.array([[b.range_m, b.cross_m] for b in shares], np.float64)
     after = before.copy()
     for k, cause in enumerate(causes):
-        if cause == "bias":
-            after[k] = left
+        if cause in left:
+            after[k] = left[cause]
     rows = len(causes) + 2
     with style(name):
         figure, (row,) = axes_grid(1, 2, 0.95 + 0.36 * rows, left=1.9, gap=(0.35, 0), top=0.52, bottom=0.42)

@@ -16,8 +16,7 @@ import numpy as np
 
 from .._files import write_text
 from .._types import FloatArray
-from ..model import Channel
-from ..terms import TERMS, Geometry, table_of, term_of
+from ..terms import TERMS, Geometry, Whose, table_of, term_of, touches
 from . import charts, figures
 from .drawing import MAX_PAIRS, Drawing, group_quantiles, sample, term_label
 
@@ -584,7 +583,7 @@ def _section(
 
     advice = add(partial(charts.gain_figure, summary.verdicts), "gain")
     seen = tuple((_trimmed_rms(along), _trimmed_rms(across)) for along, across in _along_and_across(chosen))
-    left = left_by_calibration(calibration, chosen)
+    left = {cause: left_by_calibration(calibration, chosen, timing=cause == "timing") for cause in ("bias", "timing")}
     budget = add(partial(charts.budget_figure, summary.budget, left, (seen[0], seen[1])), "budget")
     choices = add(partial(charts.choice_figure, summary.choices, summary.criterion), "choices")
     makers: list[tuple[str, Callable[[str], Drawing | None]]] = [
@@ -755,17 +754,20 @@ def _trimmed_rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(known[known <= np.quantile(known, 0.99)] ** 2)))
 
 
-def left_by_calibration(calibration: Calibration, r: Residuals) -> tuple[float, float]:
+def left_by_calibration(calibration: Calibration, r: Residuals, *, timing: bool) -> tuple[float, float]:
     """The uncertainty of the correction itself at the plots of one sensor: rms (m) in range and across it; NaN without plots.
+
+    That of the terms that shift stamps (`timing`), else of all others.
 
     Rates are those of a target that goes straight on at its level; lengths are not known here and count as nothing.
     """
     if not len(r) or not calibration.terms:
         return math.nan, math.nan
     r = r.take(sample(len(r), 2000))
-    keys = [(k, key) for k, key in enumerate(calibration.terms) if key.sensor == int(r.sensor[0])]
+    mine = [(k, key) for k, key in enumerate(calibration.terms) if key.sensor == int(r.sensor[0])]
+    keys = [(k, key) for k, key in mine if TERMS[key.name].is_time == timing]
     if not keys:
-        return math.nan, math.nan
+        return 0.0, 0.0
     flat = np.maximum(r.reference_range_m * np.cos(r.reference_elevation_rad), 1.0)
     speed, turn = np.nan_to_num(r.reference_speed_mps), np.nan_to_num(r.reference_course_rad) - r.reference_azimuth_rad
     rate = np.stack([speed * np.cos(turn), speed * np.sin(turn) / flat, np.zeros(len(r))], axis=1)
@@ -776,8 +778,8 @@ def left_by_calibration(calibration: Calibration, r: Residuals) -> tuple[float, 
     )  # fmt: skip
     columns = []
     for _, key in keys:
-        mine = key.channel == "all" or np.isin(r.channel, [c.value for c in Channel if c.name.lower() == key.channel.lower()])
-        columns.append(np.nan_to_num(TERMS[key.name].columns(place)) * np.reshape(mine, (-1, 1)))
+        whose = Whose(r.channel, np.zeros(len(r), np.uint32), np.full(len(r), -1))
+        columns.append(np.nan_to_num(TERMS[key.name].columns(place)) * np.reshape(touches(key.channel, whose), (-1, 1)))
     jacobian = np.stack(columns, axis=2)
     index = [k for k, _ in keys]
     covariance = calibration.covariance[-1][np.ix_(index, index)]
