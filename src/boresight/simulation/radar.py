@@ -31,9 +31,9 @@ _HEIGHT_QUANTUM_M = 6.25 * 0.3048
 class Radar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One simulated radar: where it stands, how it turns, how well it measures, and its errors.
 
-    `errors` maps names of terms (`terms.term_of`, so for one channel too) to values in the terms' own units (deg, m, m/km, s).
-    A clock's drift counts from the scene's start.  With `elevation_sd_deg` it measures elevation.  A quantum of 0 leaves the
-    value as it is.  `kind` decides the identity that its plots carry: mode_s and combined all of it, ssr Mode 3/A and altitude, psr and
+    `errors` maps names of terms (`terms.term_of`, so for one channel too) to values in the terms' own units (deg, m, m/km, s).  A
+    clock's drift counts from the scene's start.  With `elevation_sd_deg` it measures elevation.  A quantum of 0 leaves the value
+    as it is.  `kind` decides the identity that its plots carry: mode_s and combined all of it, ssr Mode 3/A and altitude, psr and
     marine none; a marine radar sees the ships, all others the aircraft.  ``identity=False`` takes address, code and callsign away
     and leaves the altitude.  Secondary ranges carry each aircraft's transponder delay.  Of a combined radar the share
     `primary_only` of the plots is the primary's alone; during the share `second_chain` of the scene, its end, the second
