@@ -11,7 +11,7 @@ from pathlib import Path
 import mutation
 import numpy as np
 import pytest
-from test_asterix import DATE, MIDNIGHT, adsb, block, number, position, radar, record, smr, tod, write
+from test_asterix import DATE, MIDNIGHT, adsb, block, number, old_track, position, radar, record, smr, tod, write
 from test_capture import START, Frame, ethernet, final_format, frames, gps_stamped, ip4, messages, pcap, pcapng, udp
 
 from boresight.reading.asterix import DecodeState, decode, read_asterix
@@ -245,3 +245,9 @@ def test_a_track_that_is_not_on_earth_keeps_its_other_values(tmp_path: Path) -> 
     tracks = read_asterix(write(tmp_path, data), date=DATE, editions={62: "1.x"}).tracks
     assert np.isnan(tracks.latitude_rad).tolist() == [False] * 9 + [True]
     assert tracks.track.tolist() == [1] * 10
+
+
+def test_fields_that_are_skipped_by_their_length_are_counted(tmp_path: Path) -> None:
+    special = {"RE": b"\x04abc", "SP": b"\x02x"}
+    data = block(48, radar(1.0, special), radar(2.0, {"RE": b"\x01"}), radar(3.0)) + block(1, old_track(4.0, {"SP": b"\x03ab"}))
+    assert read_asterix(write(tmp_path, data), date=DATE).passed_over == {"048 RE": 2, "048 SP": 1, "001 SP": 1}

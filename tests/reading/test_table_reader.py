@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import bz2
 import csv
 import datetime
+import gzip
 import io
+import lzma
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -14,6 +18,7 @@ import pytest
 
 from boresight.errors import InputError, SettingsError
 from boresight.model import Channel, Fixes, Flag, Platform, Plots, Tracks, pack_callsigns, unpack_callsigns
+from boresight.reading import is_asterix, read
 from boresight.reading.tables import UNITS, load_columns, looks_like_table, read_table, shipped_maps
 from boresight.writing.tables import write_table
 
@@ -433,3 +438,30 @@ def test_solent_ais(data: Path) -> None:
     np.testing.assert_array_equal(np.isnan(f.velocity_east_mps), lost)
     speed = np.hypot(f.velocity_east_mps, f.velocity_north_mps)
     np.testing.assert_allclose(speed[~lost], np.array([float(r["SOG_knots"]) for r in rows])[~lost] * 1852 / 3600, atol=1e-9)
+
+
+def test_a_table_may_bring_its_column_map(tmp_path: Path) -> None:
+    """`read` finds it by its name, and so every command does."""
+    path = tmp_path / "own.csv"
+    path.write_text("when,wide,long\n2020-01-01T00:00:00Z,41,2\n2020-01-01T00:00:01Z,41.5,2.5\n")
+    with pytest.raises(InputError, match=r"when, wide, long.*own\.csv\.map\.toml"):
+        read(path)
+    beside = tmp_path / "own.csv.map.toml"
+    beside.write_text(
+        '[fixes]\ntime = { column = "when", unit = "iso" }\nlatitude = { column = "wide", unit = "deg" }\n'
+        'longitude = { column = "long", unit = "deg" }\n'
+    )
+    found = read(path)
+    np.testing.assert_allclose(np.degrees(found.fixes.latitude_rad), [41.0, 41.5])
+    assert found.warnings[0] == f"its columns are read as {beside} says"
+    assert not is_asterix(path)
+
+
+@pytest.mark.parametrize(("pack", "word"), [(gzip.compress, "gzip"), (bz2.compress, "bzip2"), (lzma.compress, "xz")])
+def test_a_packed_file_is_named_with_the_way_to_unpack_it(tmp_path: Path, pack: Callable[[bytes], bytes], word: str) -> None:
+    path = tmp_path / "packed"
+    path.write_bytes(pack(b"when,wide,long\n"))
+    with pytest.raises(InputError, match=f"packed with {word}.*Unpack it first"):
+        read(path)
+    with pytest.raises(InputError, match="Unpack it first"):
+        read(path, columns=tmp_path / "map.toml")

@@ -1362,9 +1362,9 @@ def _assemble(
         rows = rows[kept[rows]]
         slots = _slots(form, edition)
         for name in ("RE", "SP"):
-            there = int(np.count_nonzero(items[rows, slots[name]])) if name in slots else 0
-            if there:
-                passed_over[f"{1 if form == uap.SECOND[1] else form:03d} {name}"] += there
+            count = int(np.count_nonzero(items[rows, slots[name]])) if name in slots else 0
+            if count:
+                passed_over[f"{1 if form == uap.SECOND[1] else form:03d} {name}"] += count
         if form in uap.PLOTS:
             needs, wanted = uap.PLOTS[form]
             mine = rows[_has(items, rows, [slots[i] for i in needs])]

@@ -354,9 +354,9 @@ def _found_in(
     data: ByteArray, rows: IntArray, tick: float, link: int, base: int, tally: Tally, pieces: _Pieces, stray: _Stray
 ) -> Iterator[Portion]:
     """The datagrams of the rows that `_frames` filled."""
-    seconds = rows[:, 3] + rows[:, 4] * tick
+    frame, taken, whole, second, fraction = np.ascontiguousarray(rows.T)
     links = np.full(len(rows), link)
-    yield from _found(data, rows[:, 0], rows[:, 1], rows[:, 2], seconds, links, base, tally, pieces, stray)
+    yield from _found(data, frame, taken, whole, second + fraction * tick, links, base, tally, pieces, stray)
 
 
 def _words(data: ByteArray, at: IntArray, big: bool) -> IntArray:
@@ -370,8 +370,16 @@ def _words(data: ByteArray, at: IntArray, big: bool) -> IntArray:
 
 def _shorts(data: ByteArray, at: IntArray) -> IntArray:
     """The 16-bit numbers at `at` (k,), in network order; beyond the data their last byte stands."""
+    return _pairs(data, np.ascontiguousarray(at, np.int64))
+
+
+@kernel
+def _pairs(data: ByteArray, at: IntArray) -> IntArray:
     last = len(data) - 1
-    return data[np.minimum(at, last)].astype(np.int64) << 8 | data[np.minimum(at + 1, last)]
+    out = np.empty(len(at), np.int64)
+    for k in range(len(at)):
+        out[k] = _int(data[min(at[k], last)]) << 8 | _int(data[min(at[k] + 1, last)])
+    return out
 
 
 class _Interface(NamedTuple):
@@ -649,7 +657,8 @@ def _network(data: ByteArray, frame: IntArray, end: IntArray, links: IntArray) -
     """Where the network layer of each frame begins, and its EtherType (0: none)."""
     at, kind = frame.copy(), np.zeros(len(frame), np.int64)
     for link in np.unique(links).tolist():
-        mine = links == link
+        alone = (links == link).all()
+        mine = slice(None) if alone else links == link
         here = frame[mine]
         if link in _ETHERNET:
             at[mine], kind[mine] = here + 14, _shorts(data, here + 12)

@@ -285,7 +285,8 @@ def _recognise(path: str | Path, names: list[str], kind: str | None) -> ColumnMa
     raise InputError(
         f"it is not known what its columns mean; they are: {shown}",
         path=path,
-        remedy="Give a column map (TOML) that says which column holds the time, the position and so on, in which unit.",
+        remedy="Give a column map (TOML) that says which column holds the time, the position and so on, in which unit: beside it "
+        f"as {Path(path).name}.map.toml, or with --columns of convert.",
     )
 
 
