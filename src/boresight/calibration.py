@@ -180,9 +180,10 @@ class Calibration:
         half = self.sd * stdtrit(freedom, (1 + level) / 2) * np.sqrt((freedom - 2) / freedom)
         return np.stack([self.value - half, self.value + half], axis=-1)
 
-    def index(self, sensor: int, term: str) -> int | None:
-        """Where the term of this sensor stands among `terms`, or None."""
-        return next((k for k, key in enumerate(self.terms) if key.sensor == sensor and key.name == term), None)
+    def index(self, sensor: int, term: str, channel: str = "all") -> int | None:
+        """Where the term of this sensor and channel stands among `terms`, or None."""
+        wanted = (sensor, channel, term)
+        return next((k for k, key in enumerate(self.terms) if (key.sensor, key.channel, key.name) == wanted), None)
 
     def __str__(self) -> str:
         """A table to read: terms in their units with sd, noise, accuracy, what was not determined, notes."""
