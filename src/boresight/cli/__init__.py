@@ -21,6 +21,7 @@ from .correct import correct
 from .demo import demo
 from .info import info
 from .plan import plan
+from .study import study
 from .verify import verify
 from .warm import warm
 
@@ -32,7 +33,7 @@ app = cyclopts.App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _command in (demo, info, calibrate, correct, convert, assess, compare, verify, plan, warm):
+for _command in (demo, info, calibrate, correct, convert, assess, compare, verify, plan, study, warm):
     app.command(_command)
 
 

@@ -1,0 +1,53 @@
+"""The quick form of each study: every bound holds, every printed cell is there, pages and JSON hold what they promise."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from boresight.errors import SettingsError
+from boresight.studies import Settings, Study, run_study, study_json, write_study
+from boresight.studies.page import bound_text, number, study_text
+from boresight.studies.table import Bound, row
+
+
+def quick(name: str) -> Study:
+    return run_study(name, Settings(quick=True, seed=3))
+
+
+@pytest.mark.parametrize(("name", "bounded", "printed"), [("covariance-conversion", 30, 12), ("serial-fusion", 20, 130)])
+def test_every_bound_of_the_quick_form_holds(name: str, bounded: int, printed: int, tmp_path: Path) -> None:
+    study = quick(name)
+    assert not study.failed, "\n".join(f"{r.id}: {r.ours} is not within {bound_text(r.bound)}" for r in study.failed)
+    assert sum(r.bound is not None for r in study.rows) >= bounded
+    assert sum(r.printed is not None for r in study.rows) >= printed
+    out = json.loads(json.dumps(study_json(study), allow_nan=False))
+    assert out["study"] == name
+    assert set(out["rows"][0]) >= {"id", "table", "row", "quantity", "printed", "ours", "bound", "holds"}
+    for r in out["rows"]:
+        if r["bound"] is not None:
+            low, high = r["bound"]["low"], r["bound"]["high"]
+            assert r["holds"] == ((low is None or r["ours"] >= low) and (high is None or r["ours"] <= high))
+    page = write_study(study, tmp_path / "study.html").read_text()
+    assert page.count("<figure") == len(study.figures) > 0
+    assert all(f'id="{r.id}"' in page for r in study.rows)
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert all(r.row in study_text(study) for r in study.rows)
+
+
+def test_studies_that_do_not_exist_are_refused() -> None:
+    with pytest.raises(SettingsError, match="Studies: serial-fusion"):
+        run_study("cold-fusion")
+
+
+def test_a_row_holds_what_its_bound_says() -> None:
+    assert row("a", "t", "r", "q", 1.0, low=0.5).holds is True
+    assert row("a", "t", "r", "q", 1.0, high=0.5).holds is False
+    assert row("a", "t", "r", "q", float("nan"), high=0.5).holds is False
+    assert row("a", "t", "r", "q", "improved", printed="improved").holds is None
+    assert bound_text(Bound(None, 0.5)) == "≤ 0.5000"
+    assert number(-0.01234) == "−0.01234"
+    assert number(np.nan) == "–"
