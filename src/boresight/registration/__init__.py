@@ -17,7 +17,7 @@ from ..errors import NothingToDo, SettingsError
 from ..model import EXCLUDED, Pairs, Plots, Sensor, Sensors
 from ..terms import MODELS, TERMS, Term, Whose, kept_out, reference_term, summarised, table_of, terms_of, touches
 from .least_squares import GROUND_KINDS, Dropped, Fit, LeastSquares, accuracy, check_settings, default_model, fit
-from .observe import CHUNK, Observed, fill_lengths, geometry, observe, unusable
+from .observe import CHUNK, Observed, fill_lengths, geometry, linearise, observe, take, unusable
 from .select import candidates, judge, search
 
 __all__ = ["LeastSquares", "fill_lengths", "register"]
@@ -151,6 +151,7 @@ def _one(
             "time_offset is confounded with the extent of the targets, which the model lacks: an echo 10 m behind the "
             f"reference's antenna looks like {10 / max(speed, 0.1):+.2f} s at the median speed of {speed:.0f} m/s"
         )
+    notes += _alike(seen, fitted)
     if "range_bias" in names and sensor.kind not in GROUND_KINDS:
         delay = [e.sd for e in fitted.effects if e.term == "transponder_delay"]
         sd = (
@@ -185,6 +186,41 @@ def _one(
         effects=fitted.effects,
     )
     return _Found(seen, fitted, summary, [NotDetermined(sensor.key, d.term, d.why) for d in dropped])
+
+
+def _alike(seen: Observed, fitted: Fit) -> list[str]:
+    """What is to be said of terms that move plots alike: time and extent on the ground, lags of range and azimuth."""
+    said = []
+    names = [t.name for t in fitted.terms]
+    extent = next((k for k, name in enumerate(names) if name in _EXTENT), None)
+    if "time_offset" in names and extent is not None:
+        k = names.index("time_offset")
+        some = take(seen, np.arange(0, len(seen), -(-len(seen) // CHUNK)))
+        place, _, x = linearise(some, slice(None), fitted.terms, fitted.value)
+        metres = np.stack([x[:, 0], x[:, 1] * (place.range_m * np.cos(place.elevation_rad))[:, None]])
+        size = np.maximum(np.sqrt((metres**2).sum(axis=(0, 1))), 1e-300)
+        unit = np.einsum("cni,cnj->ij", metres / size, metres / size)
+        columns = np.linalg.inv(unit + 1e-9 * np.eye(len(names)))
+        # Half of what one does, the other can do too.
+        alike = max(abs(float(c[k, extent] / np.sqrt(c[k, k] * c[extent, extent]))) for c in (columns, fitted.covariance))
+        if alike**2 >= 0.5:
+            speed = float(np.median(np.sqrt((seen.velocity**2).sum(axis=1))))
+            grown = 1 / np.sqrt(max(1 - alike**2, 1e-4))
+            said.append(
+                f"time_offset and {names[extent]} can hardly be told apart: both move plots along the track, and their effects "
+                f"correlate by {alike:.2f}, which makes the sd of time_offset {grown:.1f} times what it would be; at the median "
+                f"speed of {speed:.1f} m/s an echo 1 m further back looks like {1 / max(speed, 0.1):+.2f} s"
+            )
+    lags = [names.index(name) for name in ("range_lag", "azimuth_lag") if name in names]
+    if len(lags) == 2:
+        one, two = fitted.value[lags]
+        c = fitted.covariance[np.ix_(lags, lags)]
+        if one * two > 0 and abs(one - two) <= 2 * np.sqrt(max(c[0, 0] + c[1, 1] - 2 * c[0, 1], 0.0)):
+            said.append(
+                "range_lag and azimuth_lag are alike: what follows the targets' accelerations in every direction may be the "
+                "reference's smoothing rather than a servo of the radar"
+            )
+    return said
 
 
 def _with_length(seen: Observed, length: FloatArray) -> Observed:

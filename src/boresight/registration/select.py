@@ -150,7 +150,9 @@ class _Bench:
         size = np.array([t.prior_sd for t in terms])
         bad = rank_check(total / size[:, None] / size, terms, self.settings)
         if bad is None:
-            bad = pair_check(np.linalg.pinv(total, rcond=1e-14, hermitian=True), terms, self.settings)
+            root = np.sqrt(np.maximum(np.diag(total), 1e-300))
+            unit = np.linalg.pinv(total / root[:, None] / root, rcond=1e-12, hermitian=True)
+            bad = pair_check(unit / root[:, None] / root, terms, self.settings)
         return "" if bad is None else bad.why
 
 
@@ -459,6 +461,10 @@ def _shares(
         cause = "reference" if term.is_nuisance else "timing" if term.is_time else "bias"
         moved[cause] += columns[term.name][:, :2] * value
     out = {cause: weight @ (m * metres) ** 2 for cause, m in moved.items()}
+    # Where late stamps make up for a bias, or add to it, the two share that as they share the rest.
+    both, apart = weight @ ((moved["bias"] + moved["timing"]) * metres) ** 2, out["bias"] + out["timing"]
+    grown = np.where(apart > 0, both / np.where(apart > 0, apart, 1.0), 1.0)
+    out["bias"], out["timing"] = out["bias"] * grown, out["timing"] * grown
     noise = np.tile(fitted.noise_sd[:2] ** 2, (len(weight), 1)) / seen.weight[at, None]
     shared = fitted.reference_share * seen.reference_variance[at, :2]
     for effect in fitted.effects:
