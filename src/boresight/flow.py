@@ -235,6 +235,7 @@ def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> 
                 reference=run.reference,
                 evidence=run.evidence,
                 conformity=run.conformity,
+                heights=run.heights,
             )
             data.result()
             if run.frozen is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -281,3 +282,16 @@ def test_nodes_of_a_table_are_one_row_of_the_summary(build: Callable[..., Scene]
     card = text[text.index("terms short") : text.index("<nav>")]
     assert card.count("<tr") == 2
     assert f"azimuth table, {p} nodes" in card
+
+
+def test_residuals_name_their_targets(few: Scene, tmp_path: Path) -> None:
+    from boresight.association import Association
+    from boresight.flow import Run, write_results
+
+    duckdb = pytest.importorskip("duckdb")
+    found = Association(few.pairs, (), np.zeros(len(few.pairs), np.int64), None, ())  # type: ignore[arg-type]
+    run = Run(few.calibration, found, few.residuals, targets={0: "4CA123", 2: "HELLO"})
+    write_results(run, few.sensors, tmp_path / "out")
+    path = tmp_path / "out" / "residuals.parquet"
+    rows = duckdb.sql(f"SELECT DISTINCT target, target_name FROM '{path}' ORDER BY target").fetchall()
+    assert rows == [(0, "4CA123"), (1, None), (2, "HELLO")]

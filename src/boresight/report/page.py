@@ -429,7 +429,8 @@ def verdict(calibration: Calibration, summary: Summary) -> tuple[str, str]:
             wrong.append((abs(value) / sd, _WORDS[key.name][value < 0].format(amount) + on))
         elif key.name not in ("azimuth_cos", "azimuth_sin"):
             signed = with_unit(number(value, decimals(sd), sign=True), key.unit)
-            wrong.append((abs(value) / sd, f"has a {term_label(key.name)} of {signed}{on}"))
+            article = "an" if key.name[0] in "aeiou" else "a"
+            wrong.append((abs(value) / sd, f"has {article} {term_label(key.name)} of {signed}{on}"))
     if significant_swing:
         size = float(np.hypot(*swing))
         worst = np.degrees(np.arctan2(swing[1], swing[0])) % 360
@@ -832,14 +833,14 @@ def _effect_table(summary: Summary) -> dict[str, Any] | None:
         return None
     spans = sorted({e.block_s for e in summary.effects}, reverse=True)
     finite = [s for s in spans if math.isfinite(s)]
-    words = {s: f"{'slow' if s == finite[0] and len(finite) > 1 else 'quick'}: another every {s:g} s" for s in finite}
+    words = {s: f"{'slow' if s == finite[0] and len(finite) > 1 else 'quick'}: another every {s:.3g} s" for s in finite}
     rows = []
     for name in dict.fromkeys(e.term for e in summary.effects):
         term = term_of(name)
         sds = {e.block_s: e.sd / term.si_per_unit for e in summary.effects if e.term == name}
         rows.append({
             "what": f"{term_label(name)}, {unit_text(term.unit)}",
-            "sds": [number(sds[s], decimals(sds[s])) if s in sds else "" for s in spans],
+            "sds": ["" if s not in sds else number(sds[s], decimals(sds[s])) if sds[s] >= 1e-5 else "0" for s in spans],
         })  # fmt: skip
     return {"spans": [words.get(s, "the same in all plots of a target") for s in spans], "rows": rows}
 
