@@ -16,8 +16,8 @@ from test_capture import START, Frame, ethernet, final_format, frames, gps_stamp
 
 from boresight.reading.asterix import DecodeState, decode, read_asterix
 
-# How many of 100 files have which wrapping: those of captures, where each damaged datagram is looked at by itself, take longest.
-SHARES = {"raw": 10, "pcap": 2, "pcapng": 2, "final": 2, "gps": 6}
+# How many files have which wrapping, five times over: captures, whose damaged datagrams are looked at singly, take longest.
+SHARES = {"raw": 12, "pcap": 1, "pcapng": 1, "final": 1, "gps": 7}
 FILES = 20
 
 
@@ -121,6 +121,14 @@ def test_a_damaged_time_of_the_first_packet_does_not_hide_the_others(tmp_path: P
     at = len(pcap(frames()[:3]))
     data[at + 8 : at + 12] = b"\xff" * 4
     assert len(stamps_of(write(tmp_path, bytes(data))) & own_stamps(4)) == len(own_stamps(4))
+
+
+def test_two_packets_with_the_same_damaged_time_hide_nothing_between_them(tmp_path: Path) -> None:
+    packets = [(float(2**31) if k in (0, 30) else time, frame) for k, (time, frame) in enumerate(frames())]
+    data = bytearray(pcap(packets))
+    at = len(pcap(packets[:1]))
+    data[at + 8 : at + 12] = b"\xff" * 4
+    assert own_stamps(2) <= stamps_of(write(tmp_path, bytes(data)))
 
 
 @pytest.mark.parametrize("shift", [-90 * 86400, 90 * 86400, 5 * 86400])

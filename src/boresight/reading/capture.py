@@ -331,10 +331,9 @@ def _pcap(path: str | Path, file: BinaryIO, tally: Tally) -> Iterator[Portion]:
                     trusted = pos
                     continue
             elif why == 2 or (why == 0 and final and len(raw) - pos > size):
-                resumed = _next_packet(data, pos + 1, pos + _SEARCH, big, size, _LONGEST, ticks, last)
-                if resumed < 0:
-                    # Perhaps it was the time of those ahead that was damaged.
-                    resumed = _next_packet(data, pos + 1, pos + _SEARCH, big, size, _LONGEST, ticks, -1)
+                # Perhaps the times of those ahead were damaged: what goes on without them counts too.
+                ends = [_next_packet(data, pos + 1, pos + _SEARCH, big, size, _LONGEST, ticks, near) for near in (last, -1)]
+                resumed = min((place for place in ends if place >= 0), default=-1)
                 if resumed < 0 and why == 0:
                     break
                 resumed = min(len(raw), pos + _SEARCH) if resumed < 0 else resumed
