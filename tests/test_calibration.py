@@ -115,6 +115,7 @@ def test_json_of_calibrate() -> None:
     }
     assert set(a) == {
         "model", "terms", "noise", "plots", "tracks", "targets", "before", "after", "held_out", "not_determined", "verdicts",
+        "criterion", "choices",
     }  # fmt: skip
     assert a["noise"] == {"range_m": 31.25, "azimuth_deg": pytest.approx(0.07)}
     assert (a["plots"], a["tracks"], a["targets"]) == (12345, 31, 30)
