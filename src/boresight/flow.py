@@ -161,7 +161,10 @@ def calibrate(
         )
     progress("aligning the reference")
     sources: tuple[Source, ...] = tuple(s for r in trusted for s in r.sources)
-    evidence = gather(measured, radar, sensors) if out is not None else None
+    # Only the report asks for it, so that it is gathered while the steps go on.
+    aside = ThreadPoolExecutor(1)
+    evidence = aside.submit(gather, measured, radar, sensors) if out is not None else None
+    aside.shutdown(wait=False)
     measured, fixes = apply_time_offsets(measured, sensors), apply_time_offsets(fixes, sensors)
     heights = height_profile(fixes, sensors)
     fixes, said = locate(fixes, sensors, sources, heights=heights)
@@ -194,7 +197,7 @@ def calibrate(
         targets=_target_names(fixes, association.pairs.target),
         reference=tuple(str(file) for path in reference for file in _files_of(path)),
         truth=_truth_rows(found, truth or {}),
-        evidence=evidence,
+        evidence=evidence.result() if evidence is not None else None,
         heights=heights,
         conformity=conformity,
         frozen=freeze(plots, reference, settings, found.inputs),
