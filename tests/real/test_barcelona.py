@@ -71,6 +71,11 @@ def test_against_multilateration(data: Path, tmp_path: Path) -> None:
     assert -16 <= extent_at_mean_length(result) <= -5 or -0.55 <= per_metre <= -0.25
     held_out = result["held_out"]
     assert held_out["after_median_m"] <= held_out["before_median_m"] / 2
+    assert held_out["after_median_m"] <= 5.6
+    assert held_out["after_p95_m"] < held_out["before_p95_m"]
+    # The extent by length wins over a constant one, and is to be applied.
+    assert "along_heading_per_length" in result["terms"]
+    assert {v["term"]: v["decision"] for v in result["verdicts"]}["along_heading_per_length"] == "apply"
     assert result["after"]["p95_m"] <= result["before"]["p95_m"]
     for term in result["terms"].values():
         assert term["sd"] > 0
