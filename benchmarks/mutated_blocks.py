@@ -85,8 +85,8 @@ def table(
         "",
         f"* {len(faults):,} faults: exceptions, files over the limit of {mutation.CPU_LIMIT_S:.0f} s of processor time, values "
         "that no target can have, values of sound blocks that differ, wrong link types that go unnoticed.",
-        f"* Of {whole['sound']:,} sound blocks {whole['missed']:,} were not read, all but {whole['far']:,} next to a mutated one: "
-        "what is left of a block may, with the bytes of the next one, make a valid record.",
+        f"* Of {whole['sound']:,} sound blocks {whole['missed']:,} were not read, all but {whole['far']:,} next to a mutated "
+        "one: what is left of a block may, with the bytes of the next one, make a valid record.",
         f"* {whole['moved']:,} stamps of sound records were taken for those of another day (not looked at in the samples, which "
         "are pieces of several recordings).",
         f"* {whole['damaged']:,} places were told as damaged; {whole['refused']:,} files were refused (a wrong link type).",

@@ -14,7 +14,8 @@ import pytest
 from test_asterix import DATE, MIDNIGHT, adsb, block, number, old_track, position, radar, record, smr, tod, write
 from test_capture import START, Frame, ethernet, final_format, frames, gps_stamped, ip4, messages, pcap, pcapng, udp
 
-from boresight.reading.asterix import DecodeState, decode, read_asterix
+from boresight.reading import capture
+from boresight.reading.asterix import DecodeState, Stream, decode, read_asterix
 
 # How many files have which wrapping, five times over: captures, whose damaged datagrams are looked at singly, take longest.
 SHARES = {"raw": 12, "pcap": 1, "pcapng": 1, "final": 1, "gps": 7}
@@ -195,6 +196,38 @@ def test_a_damaged_block_of_a_stamped_file_costs_itself_only(tmp_path: Path, spo
         path = write(tmp_path, bytes(one))
         assert len(own_stamps(0) - stamps_of(path)) <= 3
         assert own_stamps(spoilt + 1) - stamps_of(path) <= own_stamps(spoilt) - own_stamps(spoilt + 1)
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+@pytest.mark.parametrize("form", ["pcap", "pcapng", "final", "gps"])
+@pytest.mark.parametrize("chunk", [64, 333, 5000])
+def test_a_wrapped_file_read_part_by_part_is_the_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sound: dict[str, list[mutation.Sound]], form: str, chunk: int, damaged: bool
+) -> None:
+    """However small the pieces are that a file is read in: the same records at the same places, and the same times."""
+    one = sound["written"][0]
+    rng = random.Random(f"{form} {damaged}")
+    made = mutation.make(rng, one.blocks[:200], one.stamps[:200], form, 0.0)
+    data = made.data
+    if damaged:
+        at = int(made.place[60])
+        data = data[:at] + bytes(9) + data[at + 9 :]
+    path = write(tmp_path, data)
+    whole = read_asterix(path, date=DATE)
+    monkeypatch.setattr(capture, "CHUNK", chunk)
+    stream = Stream.open(path, date=DATE)
+    parts = list(stream)
+    assert len(parts) > 1
+    for name in ("offset", "receive_s"):
+        np.testing.assert_array_equal(np.concatenate([getattr(p, name) for p in parts]), getattr(whole, name))
+    for name in ("plots", "fixes", "marks"):
+        table = getattr(whole, name)
+        for column, value in type(table).concat([getattr(p, name) for p in parts])._flat():
+            np.testing.assert_array_equal(value, dict(table._flat())[column], err_msg=f"{name}.{column}")
+    # Damage of a stamped file that lies across pieces is told in pieces.
+    assert bool(stream.damaged) == bool(whole.damaged)
+    assert stream.warnings == whole.warnings
+    assert (bool(whole.damaged) or any("hold no ASTERIX" in w for w in whole.warnings)) == damaged
 
 
 # --------------------------------------------------------------------------------------------------------------- raw streams
