@@ -13,8 +13,8 @@ Measured on two cores shared with much other work, where only the processor time
     1,000,000       2.7       2.1          6.6        12.9     6.7   31.0  1.85 GiB
     4,000,000      11.5      14.3         43.0        40.8    16.6  126.1  6.18 GiB
 
-Four times the plots take 4.1 times the processor time.  The aim of 15 s is not reached: 31 s of processor time cannot pass in less
-than 15.5 s on two cores, and estimating and the report's figures mostly use one.
+Four times the plots take 4.1 times the processor time.  The aim of 15 s is not reached: 31 s of processor time cannot pass in
+less than 15.5 s on two cores, and estimating and the report's figures mostly use one.
 """
 
 from __future__ import annotations
