@@ -91,8 +91,7 @@ class Pieces:
                 os.replace(self.folder / f"{self.name}.csv", beside)
                 return
             pieces = ", ".join(_text(self.folder / f"{self.name}-{k}.parquet") for k in range(self.count))
-            # Two threads, whatever the machine: memory is theirs, and pieces stay in their order.
-            with _connected(threads=2) as connection:
+            with _connected() as connection:
                 _run(connection, f"COPY (SELECT * FROM read_parquet([{pieces}])) TO {_text(beside)} ({_PARQUET})")
 
     def close(self) -> None:
@@ -125,12 +124,12 @@ class Pieces:
 _PARQUET = "FORMAT parquet, COMPRESSION zstd"
 
 
-def _connected(threads: int = 1) -> Any:
-    """A database of its own.  No extension is ever fetched."""
+def _connected() -> Any:
+    """A database of its own.  One thread: with two, memory grows with the number of pieces.  No extension is ever fetched."""
     import duckdb
 
     settings: dict[str, str | bool | int | float | list[str]] = {
-        "threads": threads,
+        "threads": 1,
         "memory_limit": "1GB",
         # What was read of a piece is not kept in memory, and nothing is ever put into the user's folder on the way.
         "enable_external_file_cache": False,
