@@ -7,8 +7,8 @@ one CAT048 file.  That is not timed.  Then the command runs in a process of its 
 
 Measured on two cores shared with much other work, so that the time by the clock says little: 8,000,000 plots take 27 s of
 processor time and 567 MB at most.  The whole day of 80,000,000 (2.37 GB of CAT048 to 1.26 GB of Parquet) took 281 s of processor
-time, and 545 MB at most while the parts were read; its pieces were then joined on two threads, which took 784 MB.  They are joined
-on one now, which by itself takes 181 MB for 80 pieces and 193 MB for 320.
+time, and 545 MB at most while the parts were read; its pieces were then joined on two threads, which took 784 MB.  They are now
+joined on one, which by itself takes 181 MB for 80 pieces and 193 MB for 320.
 """
 
 from __future__ import annotations
