@@ -1,0 +1,608 @@
+"""Biases as functions of time: a bank of robust Kalman filters, and calibrations with many epochs (METHODS section 5).
+
+`register_relative` sets radars against a main one without any reference, `register_online` follows one radar's bias against a
+trusted reference.  Both take any method of `METHODS`; the Kalman bank is the default.  Every estimate rests on the past alone,
+as in live operation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from .._jit import kernel
+from .._parallel import in_threads, slices
+from .._types import BoolArray, FloatArray
+from ..calibration import Accuracy, Calibration, Noise, NotDetermined, Summary, TermKey
+from ..errors import NothingToDo, SettingsError
+from ..model import Pairs, Sensor, Sensors
+from ..terms import DEG, TERMS, Term, term_of
+from .mean_shift import (
+    Estimate,
+    ExponentialAverage,
+    Igmsr,
+    MeanShift,
+    Online,
+    Samples,
+    absolute_condition,
+    checked,
+    joined,
+)
+from .observe import look, observe, unusable
+
+BIASES = ("range_bias", "azimuth_bias", "elevation_bias")
+# Of so many samples a bias can be told; at least this share must agree with it.
+_LEAST = 5
+_AGREE = 0.5
+_INLIER_SD = 3.0
+_EPOCHS = 400
+_BLOCK_S = 100.0
+# Below this condition number the absolute biases of both radars show in their differences.
+_NETWORK = 100.0
+# A normal variable's sd over its median absolute value.
+_SD_PER_MEDIAN = 1.4826
+# The floor under a variance that the samples do not show: metres and radians.
+_FLOOR = np.array([1e-3, 1e-8, 1e-8])
+
+
+class KalmanBank(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag="kalman-bank"):
+    """A bank of local-linear-trend Kalman filters with Huber innovations, one for each of several speeds of change.
+
+    Each filter has a bias and its rate; the rate's random walk is such that the filter remembers `memory_s`, a geometric series
+    of `members` from the fastest to the slowest.  Their estimates are mixed by how well each has predicted the samples of the
+    last `judged_s`.  Innovations beyond `huber` sd count by their sign, beyond `reject` sd not at all; `streak` of them
+    on one side (ordinary ones taken off) are a step, and the filter starts there anew.
+    """
+
+    memory_s: tuple[float, float] = (10.0, 2560.0)
+    members: int = 9
+    judged_s: float = 60.0
+    huber: float = 2.5
+    reject: float = 5.0
+    streak: int = 5
+
+    def __call__(self, time_s: FloatArray, value: FloatArray, variance: FloatArray, epoch_s: FloatArray) -> Estimate:
+        """See `Online`."""
+        low, high = self.memory_s
+        if not (0 < low <= high) or self.members < 1 or not self.judged_s > 0 or not 0 < self.huber <= self.reject:
+            raise SettingsError(
+                f"{self} makes no sense", where="kalman-bank", remedy="memory_s must rise, huber be at most reject, all positive."
+            )
+        if self.streak < 2:
+            raise SettingsError(f"streak = {self.streak} takes every outlier for a step", where="kalman-bank", remedy="Give 5.")
+        t, z, r, e = checked(time_s, value, variance, epoch_s, "kalman-bank")
+        memory = np.geomspace(low, high, self.members)
+
+        def part(rows: slice) -> Estimate:
+            own, noise = np.ascontiguousarray(z[rows]), np.ascontiguousarray(r[rows])
+            # A trend filter whose rate walks by q remembers (r / q)^(1/4), with r the samples' variance times their spacing.
+            walk = np.array([_density(t, a, b) for a, b in zip(own, noise, strict=True)])[:, None] / memory**4
+            out, spread = np.full((len(own), len(e)), np.nan), np.full((len(own), len(e)), np.nan)
+            _bank(t, own, noise, e, memory, walk, self.judged_s, self.huber, self.reject, self.streak, out, spread)
+            return Estimate(out, spread, np.zeros(len(own), np.int64))
+
+        return joined(in_threads(part, slices(len(z), 8)))
+
+
+METHODS: dict[str, Online] = {
+    "kalman-bank": KalmanBank(),
+    "igmsr": Igmsr(),
+    "mean-shift": MeanShift(),
+    "exponential-average": ExponentialAverage(),
+}
+"""The methods that follow a bias, by the name that an option gives, with their defaults."""
+
+
+def _density(time_s: FloatArray, value: FloatArray, variance: FloatArray) -> float:
+    """The samples' variance times their spacing, gaps aside."""
+    known = np.isfinite(value)
+    step = np.diff(time_s[known])
+    if not len(step) or not (step > 0).any():
+        return float(variance[known].max()) if known.any() else 1.0
+    usual = 10 * float(np.median(step[step > 0]))
+    return float(np.median(variance[known]) * np.minimum(step, usual).sum() / len(step))
+
+
+@kernel
+def _bank(
+    time: FloatArray,
+    value: FloatArray,
+    variance: FloatArray,
+    epoch: FloatArray,
+    memory: FloatArray,
+    walk: FloatArray,
+    judged: float,
+    huber: float,
+    reject: float,
+    streak: int,
+    out: FloatArray,
+    spread: FloatArray,
+) -> None:
+    """Fill mixed biases (m, k) and variances (m, k) at the epochs; `walk` (m, j) is the rates' noise (value^2 / s^3)."""
+    members = len(memory)
+    b, d = np.zeros(members), np.zeros(members)
+    p00, p01, p11 = np.zeros(members), np.zeros(members), np.zeros(members)
+    score, run = np.zeros(members), np.zeros(members)
+    for s in range(value.shape[0]):
+        begun, at, i = False, 0.0, 0
+        for k in range(len(epoch)):
+            while i < len(time) and time[i] <= epoch[k]:
+                z, r, t = value[s, i], variance[s, i], time[i]
+                i += 1
+                if np.isnan(z):
+                    continue
+                if not begun:
+                    begun, at = True, t
+                    for j in range(members):
+                        b[j], d[j], score[j], run[j] = z, 0.0, 0.0, 0.0
+                        p00[j], p01[j], p11[j] = r, 0.0, r / memory[j] ** 2
+                    continue
+                dt, at = t - at, t
+                forget, top = np.exp(-dt / judged), -np.inf
+                for j in range(members):
+                    q = walk[s, j]
+                    b[j] += dt * d[j]
+                    p00[j] += dt * (2 * p01[j] + dt * p11[j]) + q * dt**3 / 3
+                    p01[j] += dt * p11[j] + q * dt**2 / 2
+                    p11[j] += q * dt
+                    size = p00[j] + r
+                    y = z - b[j]
+                    v = y / np.sqrt(size)
+                    a = abs(v)
+                    loss = 0.5 * v * v if a <= huber else huber * min(a, reject) - 0.5 * huber * huber
+                    score[j] = forget * score[j] - 0.5 * np.log(size) - loss
+                    weight = 1.0 if a <= huber else huber / a if a <= reject else 0.0
+                    # Outliers come now and then; a step makes all innovations large on one side.
+                    if a > 3.0:
+                        side = 1.0 if v > 0 else -1.0
+                        run[j] = run[j] + side if run[j] * side >= 0 else side
+                    else:
+                        run[j] = np.sign(run[j]) * max(abs(run[j]) - 1.0, 0.0)
+                    if abs(run[j]) >= streak:
+                        run[j], weight = 0.0, 1.0
+                        p00[j] += y * y
+                        p01[j] = 0.0
+                        p11[j] += r / memory[j] ** 2
+                        size = p00[j] + r
+                    if weight > 0.0:
+                        gain = 1.0 / (p00[j] + r / weight)
+                        k0, k1 = p00[j] * gain, p01[j] * gain
+                        b[j] += k0 * y
+                        d[j] += k1 * y
+                        p11[j] -= k1 * p01[j]
+                        p01[j] -= k0 * p01[j]
+                        p00[j] -= k0 * p00[j]
+                    top = max(top, score[j])
+                for j in range(members):
+                    # None is ruled out for good: the law of change may change.
+                    score[j] = max(score[j] - top, -20.0)
+            if not begun:
+                continue
+            ahead, total, mean, square = epoch[k] - at, 0.0, 0.0, 0.0
+            for j in range(members):
+                w = np.exp(score[j])
+                total += w
+                mean += w * (b[j] + ahead * d[j])
+            mean /= total
+            for j in range(members):
+                p = p00[j] + ahead * (2 * p01[j] + ahead * p11[j]) + walk[s, j] * ahead**3 / 3
+                square += np.exp(score[j]) / total * (p + (b[j] + ahead * d[j] - mean) ** 2)
+            out[s, k], spread[s, k] = mean, square
+
+
+# ---------------------------------------------------------------------------------------------------- calibrations over time
+class _Followed(NamedTuple):
+    """One radar's biases: which of the three, values and covariances over the epochs, and what is said of them.
+
+    `main_part` is the main radar's share of a sample's variance.
+    """
+
+    known: list[int]
+    value: FloatArray
+    covariance: FloatArray
+    main_part: FloatArray
+    summary: Summary
+    not_determined: list[NotDetermined]
+
+
+def register_relative(
+    samples: Mapping[int, Samples],
+    sensors: Sensors,
+    main: Sensor,
+    *,
+    method: Online | None = None,
+    step_s: float | None = None,
+    terms: Sequence[str] = BIASES,
+) -> Calibration:
+    """Follow the biases of any number of radars against a main one, of the differences that `relative_samples` gives.
+
+    The values are *relative*: bias of the radar minus bias of the main radar, over epochs of `step_s` (by default a
+    four-hundredth of the time).  A radar so corrected agrees with the main one, right or wrong.  The covariance is joint:
+    estimates against one main radar share its noise.  Which samples agree, and how the search ended, is in the notes.
+
+    Raises SettingsError for terms that differences cannot tell (any but the three biases: what is common to both radars, so
+    all that is absolute, leaves no trace in them); NothingToDo where no bias can be told.
+    """
+    wrong = [name for name in terms if name not in BIASES]
+    if wrong or not terms:
+        raise SettingsError(
+            f"radars compared with each other tell their relative biases only, not {', '.join(wrong) or 'nothing'}",
+            where="terms",
+            remedy=f"Ask for {', '.join(BIASES)}; for others, and for absolute values, give a trusted reference.",
+        )
+    if main.key in samples:
+        raise SettingsError(f"the main radar {main.name!r} cannot be registered against itself", where="main")
+    method = method or KalmanBank()
+    epochs = _epochs(list(samples.values()), step_s)
+    found: list[_Followed] = []
+    failed: list[str] = []
+    conditions = []
+    for key, mine in samples.items():
+        sensor = sensors.find(key)
+        name = sensor.name if sensor is not None else str(key)
+        condition = absolute_condition(mine)
+        conditions.append(condition)
+        notes = [f"all values are relative: bias of {name} minus bias of {main.name}, which is taken to have none"]
+        if condition < _NETWORK:
+            notes.append(
+                f"{name} and {main.name} see targets from places so different (condition number {condition:.0f}) that a constant "
+                "relative bias does not describe them: register them as a network"
+            )
+        try:
+            found.append(_follow(mine, key, name, f"relative to {main.name}", method, epochs, notes, terms))
+        except NothingToDo as error:
+            failed.append(str(error))
+    if not found:
+        raise NothingToDo(
+            "; ".join(failed) or "there are no differences of radars", remedy="Do the recordings share time and area?"
+        )
+    worst = max((c for c in conditions if not np.isnan(c)), default=np.nan)
+    number = "" if np.isnan(worst) else f" (condition number {_power(worst)})"
+    why = f"radars at one place tell only the differences of their biases{number}: absolute ones need a trusted reference"
+    absolute = [NotDetermined(main.key, name, why) for name in terms]
+    covariance = _joint(found, _shared(samples, [f.summary.sensor for f in found]))
+    return Calibration(
+        terms=tuple(TermKey(f.summary.sensor, "all", BIASES[c], TERMS[BIASES[c]].unit) for f in found for c in f.known),
+        epoch_s=epochs,
+        value=np.concatenate([f.value for f in found], axis=1),
+        covariance=covariance,
+        sensors=tuple(f.summary for f in found),
+        not_determined=tuple([*absolute, *(n for f in found for n in f.not_determined)]),
+        warnings=tuple(failed),
+        settings={"kind": "relative", "main": main.name, **_settings(method)},
+    )
+
+
+def register_online(
+    samples: Samples,
+    sensor: Sensor,
+    *,
+    method: Online | None = None,
+    step_s: float | None = None,
+    beside: Calibration | None = None,
+) -> Calibration:
+    """Follow one radar's biases over time, of its samples measured - true (`online_samples`).
+
+    Epochs are `step_s` apart (by default a four-hundredth of the time).  The terms of `beside`, which `online_samples` has taken
+    out, go on in the result with the values that they have there.  Raises NothingToDo where no bias can be told.
+    """
+    method = method or KalmanBank()
+    epochs = _epochs([samples], step_s)
+    found = _follow(samples, sensor.key, sensor.name, "over time", method, epochs, [], BIASES)
+    rows = [] if beside is None else _beside(beside, sensor.key)
+    count, k = len(found.known), len(epochs)
+    value = np.empty((k, count + len(rows)))
+    covariance = np.zeros((k, count + len(rows), count + len(rows)))
+    value[:, :count], covariance[:, :count, :count] = found.value, found.covariance
+    keys = [TermKey(sensor.key, "all", BIASES[c], TERMS[BIASES[c]].unit) for c in found.known]
+    if beside is not None and rows:
+        value[:, count:] = beside.value[-1, rows]
+        covariance[:, count:, count:] = beside.covariance[-1][np.ix_(rows, rows)]
+        keys += [beside.terms[row] for row in rows]
+    return Calibration(
+        terms=tuple(keys),
+        epoch_s=epochs,
+        value=value,
+        covariance=covariance,
+        sensors=(found.summary,),
+        not_determined=tuple(found.not_determined),
+        settings={"kind": "over time", **_settings(method)},
+    )
+
+
+def online_samples(pairs: Pairs, sensors: Sensors, *, beside: Calibration | None = None) -> dict[int, Samples]:
+    """The samples measured - true of every sensor in `pairs`, in order of time, by the sensor's id.
+
+    The terms of `beside` other than the three biases (a time offset, a tilt) are taken out first.  The covariance holds the
+    radar's noise, as the samples' scatter from one to the next shows it, with the reference's.  Raises NothingToDo without a
+    usable pair.
+    """
+    usable = np.ones(len(pairs), bool)
+    for rows in unusable(pairs).values():
+        usable &= ~rows
+    if not usable.any():
+        raise NothingToDo("there are no pairs of plots and reference positions", remedy="Do the recordings share time and area?")
+    out: dict[int, Samples] = {}
+    epoch = float(beside.epoch_s[0]) if beside is not None else float(np.floor(pairs.plots.time_s[usable].min()))
+    for key in np.unique(pairs.plots.sensor[usable]).tolist():
+        sensor = sensors.find(int(key))
+        if sensor is None:
+            raise SettingsError(
+                f"the pairs hold a sensor {key} that has no entry", where="sensors.toml", remedy="Add a [[sensor]]."
+            )
+        seen = observe(pairs, np.flatnonzero(usable & (pairs.plots.sensor == key)), sensor, epoch)
+        kept = [] if beside is None else _beside(beside, int(key))
+        terms: list[Term] = []
+        value = np.empty(0)
+        if beside is not None and kept:
+            names = [beside.terms[row] for row in kept]
+            terms = [term_of(k.name if k.channel == "all" else f"{k.name}@{k.channel}") for k in names]
+            value = beside.value[-1, kept]
+        order = np.argsort(seen.time_s, kind="stable")
+        _, residual, _ = look(seen, order, terms, value)
+        noise = _scatter(residual)
+        covariance = np.zeros((len(order), 3, 3))
+        for c in range(3):
+            covariance[:, c, c] = np.maximum(noise[c] ** 2, seen.reference_variance[order, c])
+        out[int(key)] = Samples(
+            seen.time_s[order] + epoch,
+            residual,
+            covariance,
+            seen.measured[order],
+            seen.cluster[order],
+            np.full(len(order), -1),
+            np.zeros((len(order), 3)),
+            np.full((len(order), 3, 3), np.nan),
+        )
+    return out
+
+
+def _beside(calibration: Calibration, sensor: int) -> list[int]:
+    """Where the terms of one sensor other than its biases stand in a calibration."""
+    return [
+        k
+        for k, key in enumerate(calibration.terms)
+        if key.sensor == sensor and not (key.name in BIASES and key.channel == "all") and np.isfinite(calibration.value[-1, k])
+    ]
+
+
+def _scatter(value: FloatArray) -> FloatArray:
+    """The sd (3,) of samples (n, 3) about whatever changes slowly: of successive differences, outliers aside; NaN for none."""
+    out = np.full(3, np.nan)
+    for c in range(3):
+        known = value[np.isfinite(value[:, c]), c]
+        if len(known) > 1:
+            out[c] = max(_SD_PER_MEDIAN * float(np.median(np.abs(np.diff(known)))) / np.sqrt(2), _FLOOR[c])
+    return out
+
+
+def _settings(method: Online) -> dict[str, object]:
+    if isinstance(method, msgspec.Struct):
+        options = msgspec.to_builtins(method)
+        return {"method": options.pop("type"), **options}
+    return {"method": type(method).__name__}
+
+
+def _power(number: float) -> str:
+    return "beyond 1e14" if np.isinf(number) else f"{number:.0e}".replace("e+0", "e").replace("e+", "e")
+
+
+def _epochs(samples: Sequence[Samples], step_s: float | None) -> FloatArray:
+    """Times (k,) from the first sample to the last; the last is exactly there."""
+    times = [s.time_s[np.isfinite(s.time_s)] for s in samples]
+    times = [t for t in times if len(t)]
+    if not times:
+        raise NothingToDo("there is no sample with a time", remedy="Do the recordings share time and area?")
+    if step_s is not None and not step_s > 0:
+        raise SettingsError(f"step_s = {step_s} is no step", where="step_s", remedy="Give a positive number of seconds.")
+    first, last = max(float(t.min()) for t in times), max(float(t.max()) for t in times)
+    span = last - first
+    step = step_s or max(span / _EPOCHS, 1e-9)
+    count = int(np.ceil(span / step - 1e-9))
+    if count > 1_000_000:
+        raise SettingsError(f"step_s = {step_s} makes {count:,} epochs", where="step_s", remedy="Give a larger step.")
+    epochs: FloatArray = last - step * np.arange(count, -1, -1.0)
+    return np.maximum(epochs, first)
+
+
+def _follow(
+    samples: Samples,
+    key: int,
+    name: str,
+    model: str,
+    method: Online,
+    epochs: FloatArray,
+    notes: list[str],
+    terms: Sequence[str],
+) -> _Followed:
+    """One radar's biases at the epochs."""
+    order = np.argsort(samples.time_s, kind="stable")
+    mine = samples.take(order)
+    good = np.isfinite(mine.time_s) & np.isfinite(mine.value[:, :2]).any(axis=1)
+    if not good.all():
+        notes.append(f"{(~good).sum():,} of {len(good):,} samples were left out: no time, or no value")
+        mine = mine.take(good)
+    variance = np.diagonal(mine.covariance, axis1=1, axis2=2) if len(mine) else np.empty((0, 3))
+    z = np.where(np.isfinite(variance) & (variance >= 0), mine.value, np.nan)
+    shown = _scatter(z)
+    stated = np.array([np.sqrt(np.nanmedian(variance[:, c])) if np.isfinite(z[:, c]).any() else np.nan for c in range(3)])
+    known: list[int] = []
+    missing: list[NotDetermined] = []
+    for c, term in enumerate(BIASES):
+        if term not in terms:
+            continue
+        count = int(np.isfinite(z[:, c]).sum())
+        if count >= _LEAST:
+            known.append(c)
+        elif c < 2 or count or model == "over time":
+            why = "elevation is not measured" if c == 2 and not count else f"{count} samples are too few; {_LEAST} are needed"
+            missing.append(NotDetermined(key, term, why))
+        else:
+            missing.append(NotDetermined(key, term, "elevation is not measured"))
+    if not known:
+        raise NothingToDo(f"{name}: {len(mine)} usable samples are too few for any bias")
+    # Samples that scatter more than their sd, and samples that share what is the target's, tell less.
+    wider = np.maximum(np.nan_to_num(shown / stated, nan=1.0, posinf=1.0), 1.0)
+    for c in known:
+        if wider[c] > 1.5:
+            unit = "m" if c == 0 else "deg"
+            value = shown[c] if c == 0 else shown[c] / DEG
+            notes.append(f"{BIASES[c]}: samples scatter by {value:.3g} {unit}, {wider[c]:.1f} times what their sd say")
+    r = np.maximum(variance * wider**2, _FLOOR**2)
+    shared = _sharing(mine, z, r)
+    found = method(mine.time_s, z.T[known], (r * shared).T[known], epochs)
+    value, spread = _held_back(found.value), _held_back(found.variance)
+    inlier = _agreeing(mine.time_s, z.T[known], r.T[known], epochs, value)
+    kept = []
+    for j, c in enumerate(known):
+        seen = np.isfinite(z[:, c])
+        share = float(inlier[j].sum() / seen.sum())
+        if share < _AGREE:
+            missing.append(
+                NotDetermined(
+                    key, BIASES[c], f"only {100 * share:.0f} % of {seen.sum():,} samples agree with any value: most are outliers"
+                )
+            )
+            continue
+        kept.append(j)
+        ended = "" if not found.missed[j] else f"; at {found.missed[j]:,} of {len(epochs):,} epochs the search did not settle"
+        what = f", each counted for {1 / shared[c]:.2g}, because samples of one target share errors" if shared[c] > 1.2 else ""
+        notes.append(f"{BIASES[c]}: {inlier[j].sum():,} of {seen.sum():,} samples agree within {_INLIER_SD:g} sd{what}{ended}")
+    if not kept:
+        raise NothingToDo(
+            f"{name}: {'; '.join(m.why for m in missing)}", remedy="Are the targets the same, and the clocks right?"
+        )
+    known, value, spread = [known[j] for j in kept], value[kept], spread[kept]
+    k = len(epochs)
+    covariance = np.zeros((k, len(known), len(known)))
+    # Errors of one sample in range, azimuth and elevation correlate a little where the radars stand apart.
+    mean = np.nanmean(mine.covariance, axis=0)[np.ix_(known, known)]
+    size = np.sqrt(np.diag(mean))
+    rho = mean / np.maximum(size[:, None] * size, 1e-300)
+    sd = np.sqrt(spread.T)
+    covariance[:] = sd[:, :, None] * rho * sd[:, None, :]
+    noise = np.where(np.isfinite(shown), shown, np.nan)
+    before, after = _misses(mine, z, known, epochs, value)
+    summary = Summary(
+        sensor=key,
+        name=name,
+        model=model,
+        noise=Noise(float(noise[0]), float(noise[1]), float(noise[2])),
+        plots=len(mine),
+        tracks=len(np.unique(mine.target)),
+        targets=len(np.unique(mine.target)),
+        before=before,
+        after=after,
+        notes=tuple(notes),
+    )
+    part = np.median(mine.main_variance[:, known], axis=0) / np.median(r[:, known], axis=0)
+    return _Followed(known, value.T, (covariance + np.swapaxes(covariance, 1, 2)) / 2, part, summary, missing)
+
+
+def _held_back(value: FloatArray) -> FloatArray:
+    """The series (m, k) with their first number in place of what comes before it."""
+    out = value.copy()
+    for row in out:
+        known = np.flatnonzero(np.isfinite(row))
+        if len(known):
+            row[: known[0]] = row[known[0]]
+    return out
+
+
+def _sharing(samples: Samples, value: FloatArray, variance: FloatArray) -> FloatArray:
+    """By how much (3,) the mean of one target's samples over a block of time scatters more than white noise would have it.
+
+    Medians over blocks of the squared difference of neighbouring targets' means, over what their samples' variances give.
+    """
+    out = np.ones(3)
+    if not len(samples) or (samples.target < 0).any():
+        return out
+    block = np.floor((samples.time_s - samples.time_s[0]) / _BLOCK_S).astype(np.int64)
+    _, group = np.unique(np.stack([block, samples.target]), axis=1, return_inverse=True)
+    groups = int(group.max()) + 1
+    own_block = np.zeros(groups, np.int64)
+    own_block[group] = block
+    for c in range(3):
+        seen = np.isfinite(value[:, c])
+        # Clipped about the median, so that an outlier does not make its target different.
+        middle = np.median(value[seen, c]) if seen.any() else 0.0
+        number = np.bincount(group[seen], minlength=groups).astype(np.float64)
+        total = np.bincount(group[seen], value[seen, c] - middle, groups)
+        noise = np.bincount(group[seen], variance[seen, c], groups)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mean, spread = total / number, noise / number**2
+        # Only targets of one block can be compared: over time the bias itself changes.
+        near = (own_block[1:] == own_block[:-1]) & (number[1:] >= 5) & (number[:-1] >= 5)
+        if near.sum() >= 8:
+            ratio = np.diff(mean)[near] ** 2 / (spread[1:] + spread[:-1])[near]
+            out[c] = max(float(np.median(ratio)) / 0.4549, 1.0)
+    # What the median of squares of normal variables says is itself uncertain.
+    return np.where(out < 2.0, 1.0, out)
+
+
+def _agreeing(time_s: FloatArray, value: FloatArray, variance: FloatArray, epochs: FloatArray, found: FloatArray) -> BoolArray:
+    """Which samples (m, n) lie within three sd of the bias at their time."""
+    out = np.zeros(value.shape, bool)
+    for j in range(len(value)):
+        known = np.isfinite(found[j])
+        at = np.interp(time_s, epochs[known], found[j, known]) if known.any() else np.full(len(time_s), np.nan)
+        with np.errstate(invalid="ignore"):
+            out[j] = np.abs(value[j] - at) <= _INLIER_SD * np.sqrt(variance[j])
+    return out
+
+
+def _misses(
+    samples: Samples, value: FloatArray, known: list[int], epochs: FloatArray, found: FloatArray
+) -> tuple[Accuracy, Accuracy]:
+    """Horizontal differences before and after: along the range, and across it."""
+    left = value.copy()
+    for j, c in enumerate(known):
+        left[:, c] -= np.interp(samples.time_s, epochs, found[j])
+    out = []
+    for z in (value, left):
+        arm = samples.polar[:, 0] * np.cos(np.nan_to_num(samples.polar[:, 2]))
+        distance = np.hypot(z[:, 0], arm * z[:, 1])
+        distance = distance[np.isfinite(distance)]
+        out.append(
+            Accuracy(float(np.median(distance)), float(np.percentile(distance, 95)))
+            if len(distance)
+            else Accuracy(np.nan, np.nan)
+        )
+    return out[0], out[1]
+
+
+def _shared(samples: Mapping[int, Samples], keys: list[int]) -> FloatArray:
+    """The share (r,) of each radar's samples whose main plot serves another radar too."""
+    out = np.zeros(len(keys))
+    for j, key in enumerate(keys):
+        mine = samples[key].main
+        others = [samples[k].main for k in keys if k != key]
+        if others and len(mine):
+            out[j] = float((np.isin(mine, np.concatenate(others)) & (mine >= 0)).mean())
+    return out
+
+
+def _joint(found: list[_Followed], shared: FloatArray) -> FloatArray:
+    """The covariance (k, p, p) over all radars: what the main radar's noise is of each sample's, estimates have in common.
+
+    Two radars' correlation is the root of the product of their parts, so that the whole stays positive definite.
+    """
+    k, sizes = len(found[0].value), [len(f.known) for f in found]
+    out = np.zeros((k, sum(sizes), sum(sizes)))
+    at = np.cumsum([0, *sizes])
+    part = [np.minimum(f.main_part, 1.0) for f in found]
+    for a, one in enumerate(found):
+        sd_a = np.sqrt(np.diagonal(one.covariance, axis1=1, axis2=2))
+        out[:, at[a] : at[a + 1], at[a] : at[a + 1]] = one.covariance
+        for b in range(a + 1, len(found)):
+            other = found[b]
+            sd_b = np.sqrt(np.diagonal(other.covariance, axis1=1, axis2=2))
+            for i, c in enumerate(one.known):
+                if c in other.known:
+                    j = other.known.index(c)
+                    rho = np.sqrt(part[a][i] * part[b][j]) * np.sqrt(shared[a] * shared[b])
+                    out[:, at[a] + i, at[b] + j] = out[:, at[b] + j, at[a] + i] = rho * sd_a[:, i] * sd_b[:, j]
+    return out
