@@ -338,3 +338,16 @@ def test_a_plot_that_is_not_a_number_stays_alone() -> None:
         assert np.isfinite(out[[0, 2]]).all()
         assert np.isfinite(spread[[0, 2]]).all()
         assert np.isnan(out[1]).any()
+
+
+def test_sines_in_bulk_are_sines() -> None:
+    """To the last digit but one over all turns that a radar counts, at the axes exactly, and beyond by the library's own."""
+    angle = np.concatenate([np.linspace(-1e5, 1e5, 20_001), np.linspace(-7, 7, 20_001), np.arange(-9, 10) * np.pi / 4])
+    sine, cosine = np.empty_like(angle), np.empty_like(angle)
+    frames._sines(angle, sine, cosine)
+    assert np.abs(sine - np.sin(angle)).max() < 3e-16
+    assert np.abs(cosine - np.cos(angle)).max() < 3e-16
+    far = np.array([[1e4, 3e6, -0.1]])
+    plane = frames.Polar(np.zeros(3), np.eye(3))
+    position, _ = frames.convert(far, np.diag([1.0, 1e-6, 1e-6])[None], plane, frames.Ecef())
+    assert position[0] == pytest.approx(measure.enu_from_polar(far)[0], rel=1e-12)

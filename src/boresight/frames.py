@@ -507,6 +507,36 @@ def _from_site(enu: FloatArray, spread: FloatArray, source: Polar, target: Frame
 
 
 # ------------------------------------------------------------------------------------------------- the linear rule, in bulk
+# The parts of pi / 2, of 33 bits each but the last: the first two times a whole number below 2^20 are exact.
+_PI_2 = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
+_BLOCK = 256
+_FAR_RAD = 1e5
+
+
+@kernel
+def _sines(angle: FloatArray, sine: FloatArray, cosine: FloatArray) -> None:
+    """Fill sine and cosine of angles (m,) to the last digit but one, many at a time: no branch keeps the compiler from it."""
+    for k in range(angle.shape[0]):
+        x = angle[k]
+        n = np.floor(x * 0.6366197723675814 + 0.5)
+        y = ((x - n * _PI_2[0]) - n * _PI_2[1]) - n * _PI_2[2]
+        z = y * y
+        # Taylor's series, which end below 5e-17 on +- pi / 4.
+        s = ((2.8114572543455206e-15 * z - 7.647163731819816e-13) * z + 1.6059043836821613e-10) * z - 2.505210838544172e-08
+        s = ((s * z + 2.7557319223985893e-06) * z - 1.984126984126984e-04) * z + 8.333333333333333e-03
+        s = y + y * z * (s * z - 1.6666666666666666e-01)
+        c = ((-1.5619206968586225e-16 * z + 4.779477332387385e-14) * z - 1.1470745597729725e-11) * z + 2.08767569878681e-09
+        c = ((c * z - 2.755731922398589e-07) * z + 2.48015873015873e-05) * z - 1.388888888888889e-03
+        c = 1.0 - 0.5 * z + z * z * (c * z + 4.1666666666666664e-02)
+        # Which quarter turn: the two change places in every other one, and signs after two.
+        half = np.floor(0.5 * n)
+        odd = n - 2.0 * half
+        even = 1.0 - odd
+        turned = 1.0 - 2.0 * (half - 2.0 * np.floor(0.5 * half))
+        sine[k] = turned * (even * s + odd * c)
+        cosine[k] = turned * (even * c - odd * s)
+
+
 @kernel
 def _linear_rows(
     value: FloatArray, covariance: FloatArray, site: FloatArray, rotation: FloatArray, out: FloatArray, spread: FloatArray
@@ -515,33 +545,58 @@ def _linear_rows(
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    for k in range(value.shape[0]):
-        r, a, e = value[k, 0], value[k, 1], value[k, 2]
-        sa, ca, se, ce = np.sin(a), np.cos(a), np.sin(e), np.cos(e)
-        # Unit vectors along range, azimuth and elevation, ECEF; the latter two times their arms are the Jacobian's columns.
-        x0, x1, x2 = ce * sa, ce * ca, se
-        out[k, 0] = site[0] + r * (x0 * r00 + x1 * r10 + x2 * r20)
-        out[k, 1] = site[1] + r * (x0 * r01 + x1 * r11 + x2 * r21)
-        out[k, 2] = site[2] + r * (x0 * r02 + x1 * r12 + x2 * r22)
-        j00, j10, j20 = x0 * r00 + x1 * r10 + x2 * r20, x0 * r01 + x1 * r11 + x2 * r21, x0 * r02 + x1 * r12 + x2 * r22
-        g = r * ce
-        j01, j11, j21 = g * (ca * r00 - sa * r10), g * (ca * r01 - sa * r11), g * (ca * r02 - sa * r12)
-        y0, y1, y2 = -r * se * sa, -r * se * ca, r * ce
-        j02, j12, j22 = y0 * r00 + y1 * r10 + y2 * r20, y0 * r01 + y1 * r11 + y2 * r21, y0 * r02 + y1 * r12 + y2 * r22
-        p00, p01, p02 = covariance[k, 0, 0], covariance[k, 0, 1], covariance[k, 0, 2]
-        p11, p12, p22 = covariance[k, 1, 1], covariance[k, 1, 2], covariance[k, 2, 2]
-        m00, m01, m02 = j00 * p00 + j01 * p01 + j02 * p02, j00 * p01 + j01 * p11 + j02 * p12, j00 * p02 + j01 * p12 + j02 * p22
-        m10, m11, m12 = j10 * p00 + j11 * p01 + j12 * p02, j10 * p01 + j11 * p11 + j12 * p12, j10 * p02 + j11 * p12 + j12 * p22
-        m20, m21, m22 = j20 * p00 + j21 * p01 + j22 * p02, j20 * p01 + j21 * p11 + j22 * p12, j20 * p02 + j21 * p12 + j22 * p22
-        spread[k, 0, 0] = m00 * j00 + m01 * j01 + m02 * j02
-        spread[k, 1, 1] = m10 * j10 + m11 * j11 + m12 * j12
-        spread[k, 2, 2] = m20 * j20 + m21 * j21 + m22 * j22
-        s01 = m00 * j10 + m01 * j11 + m02 * j12
-        s02 = m00 * j20 + m01 * j21 + m02 * j22
-        s12 = m10 * j20 + m11 * j21 + m12 * j22
-        spread[k, 0, 1], spread[k, 1, 0] = s01, s01
-        spread[k, 0, 2], spread[k, 2, 0] = s02, s02
-        spread[k, 1, 2], spread[k, 2, 1] = s12, s12
+    sine, cosine, angle = np.empty(2 * _BLOCK), np.empty(2 * _BLOCK), np.zeros(2 * _BLOCK)
+    for begin in range(0, value.shape[0], _BLOCK):
+        count = min(_BLOCK, value.shape[0] - begin)
+        far = False
+        for h in range(count):
+            angle[h], angle[_BLOCK + h] = value[begin + h, 1], value[begin + h, 2]
+            far |= abs(value[begin + h, 1]) > _FAR_RAD or abs(value[begin + h, 2]) > _FAR_RAD
+        if far:
+            for h in range(2 * _BLOCK):
+                sine[h], cosine[h] = np.sin(angle[h]), np.cos(angle[h])
+        else:
+            _sines(angle, sine, cosine)
+        for h in range(count):
+            k = begin + h
+            r = value[k, 0]
+            sa, ca, se, ce = sine[h], cosine[h], sine[_BLOCK + h], cosine[_BLOCK + h]
+            # Unit vectors along range, azimuth and elevation, ECEF; the latter two times their arms are the Jacobian's columns.
+            x0, x1, x2 = ce * sa, ce * ca, se
+            out[k, 0] = site[0] + r * (x0 * r00 + x1 * r10 + x2 * r20)
+            out[k, 1] = site[1] + r * (x0 * r01 + x1 * r11 + x2 * r21)
+            out[k, 2] = site[2] + r * (x0 * r02 + x1 * r12 + x2 * r22)
+            j00, j10, j20 = x0 * r00 + x1 * r10 + x2 * r20, x0 * r01 + x1 * r11 + x2 * r21, x0 * r02 + x1 * r12 + x2 * r22
+            g = r * ce
+            j01, j11, j21 = g * (ca * r00 - sa * r10), g * (ca * r01 - sa * r11), g * (ca * r02 - sa * r12)
+            y0, y1, y2 = -r * se * sa, -r * se * ca, r * ce
+            j02, j12, j22 = y0 * r00 + y1 * r10 + y2 * r20, y0 * r01 + y1 * r11 + y2 * r21, y0 * r02 + y1 * r12 + y2 * r22
+            p00, p01, p02 = covariance[k, 0, 0], covariance[k, 0, 1], covariance[k, 0, 2]
+            p11, p12, p22 = covariance[k, 1, 1], covariance[k, 1, 2], covariance[k, 2, 2]
+            m00, m01, m02 = (
+                j00 * p00 + j01 * p01 + j02 * p02,
+                j00 * p01 + j01 * p11 + j02 * p12,
+                j00 * p02 + j01 * p12 + j02 * p22,
+            )
+            m10, m11, m12 = (
+                j10 * p00 + j11 * p01 + j12 * p02,
+                j10 * p01 + j11 * p11 + j12 * p12,
+                j10 * p02 + j11 * p12 + j12 * p22,
+            )
+            m20, m21, m22 = (
+                j20 * p00 + j21 * p01 + j22 * p02,
+                j20 * p01 + j21 * p11 + j22 * p12,
+                j20 * p02 + j21 * p12 + j22 * p22,
+            )
+            spread[k, 0, 0] = m00 * j00 + m01 * j01 + m02 * j02
+            spread[k, 1, 1] = m10 * j10 + m11 * j11 + m12 * j12
+            spread[k, 2, 2] = m20 * j20 + m21 * j21 + m22 * j22
+            s01 = m00 * j10 + m01 * j11 + m02 * j12
+            s02 = m00 * j20 + m01 * j21 + m02 * j22
+            s12 = m10 * j20 + m11 * j21 + m12 * j22
+            spread[k, 0, 1], spread[k, 1, 0] = s01, s01
+            spread[k, 0, 2], spread[k, 2, 0] = s02, s02
+            spread[k, 1, 2], spread[k, 2, 1] = s12, s12
 
 
 def _polar_to_ecef(value: FloatArray, covariance: FloatArray, source: Polar) -> tuple[FloatArray, FloatArray]:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from boresight.errors import SettingsError
-from boresight.filters import ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Singer, matrices
+from boresight.filters import ConstantAcceleration, ConstantVelocity, CoordinatedTurn, Singer, kalman_filter, matrices
 from boresight.filters.motion import table
+from boresight.frames import Enu
+from boresight.geodesy import E2, SEMI_MAJOR_M, ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef
 
 
 def _discrete(a: np.ndarray, noise: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
@@ -83,3 +86,49 @@ def test_models_that_make_no_sense_are_refused() -> None:
             table([model])
     with pytest.raises(SettingsError, match="empty"):
         table([])
+
+
+@pytest.mark.parametrize("away", [(0.0, 0.0), (5e5, 0.0), (-3e5, 4e5)])
+def test_turns_are_level_where_the_target_is(away: tuple[float, float]) -> None:
+    """A level turn, integrated on the ellipsoid: heading and position in latitude and longitude, 500 km from the anchor too.
+
+    One and a half turns of the filter's own prediction, step by step.  It differs by v^2 t^2 / 2 R upwards, because no motion
+    model follows the Earth's curve (0.008 m/s^2), and by next to nothing else; about the anchor's own vertical the target
+    would climb and sink by hundreds of metres there.
+    """
+    rate, speed, height, dt, steps = np.radians(3.0), 230.0, 10_000.0, 1.0, 180
+    anchor = Enu(ecef_from_geodetic(0.8, 0.2, 0.0), enu_from_ecef(0.8, 0.2))
+    below = anchor.to_ecef(np.array([[*away, 0.0]]))[0]
+    latitude, longitude, _ = geodetic_from_ecef(below[0])
+
+    def flown(_: float, s: np.ndarray) -> list[float]:
+        lat, _, heading = s
+        w = np.sqrt(1 - E2 * np.sin(lat) ** 2)
+        north, east = speed * np.cos(heading), speed * np.sin(heading)
+        normal = SEMI_MAJOR_M / w + height
+        # Along a straight course the heading turns with the meridians.
+        return [
+            north / (SEMI_MAJOR_M * (1 - E2) / w**3 + height),
+            east / (normal * np.cos(lat)),
+            rate + east * np.tan(lat) / normal,
+        ]
+
+    time_s = np.arange(steps + 1) * dt
+    lat, lon, heading = solve_ivp(
+        flown, (0, time_s[-1]), [float(latitude), float(longitude), 0.3], t_eval=time_s, rtol=1e-11, atol=1e-13
+    ).y
+    truth = anchor.from_ecef(ecef_from_geodetic(lat, lon, np.full(steps + 1, height)))[0]
+    axes = enu_from_ecef(lat[0], lon[0])
+    velocity = anchor.rotation @ (speed * np.array([np.sin(heading[0]), np.cos(heading[0]), 0.0]) @ axes)
+    start = (np.concatenate([truth[0], velocity])[None], np.eye(6)[None])
+    # No measurement is taken in: the filter's own prediction.
+    z = np.full((1, steps + 1, 3), np.nan)
+    r = np.broadcast_to(np.eye(3), (1, steps + 1, 3, 3))
+    model = CoordinatedTurn(rate_deg_s=3.0)
+    found = kalman_filter(z, r, time_s, model, start).mean[0, :, :3]
+    up = anchor.rotation @ axes[2]
+    lifted = truth + (speed * time_s)[:, None] ** 2 / (2 * 6371e3) * up
+    assert np.linalg.norm(found - lifted, axis=1).max() < 2.0
+    fixed = np.stack([start[0][0] @ matrices(model, t, 3)[0].T for t in time_s])[:, :3]
+    if away != (0.0, 0.0):
+        assert np.linalg.norm(fixed - truth, axis=1).max() > 300.0

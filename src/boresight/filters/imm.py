@@ -165,6 +165,16 @@ def take_in(
             probability[m] = prior[m]
     if not given:
         return np.nan, np.nan
+    return nis, weigh(prior, score, probability, count, nearest, k)
+
+
+@inlined
+def weigh(prior: FloatArray, score: FloatArray, probability: FloatArray, count: int, nearest: float, components: int) -> float:
+    """The models' probabilities after a measurement, from what they were ahead of it; returns the logarithm of its density.
+
+    `score` holds each model's normalised innovation squared (`nearest` is the least) and becomes its relative likelihood;
+    `probability` holds the determinant of the innovation's covariance.
+    """
     # Relative to the nearest model's exponent: a measurement that is far from all models still tells which is nearest.
     total = 0.0
     for m in range(count):
@@ -173,7 +183,7 @@ def take_in(
         total += probability[m]
     for m in range(count):
         probability[m] /= total
-    return nis, np.log(total) - 0.5 * (nearest + k * 1.8378770664093453)
+    return float(np.log(total) - 0.5 * (nearest + components * 1.8378770664093453))
 
 
 @inlined
@@ -424,14 +434,10 @@ def imm_filter(
     or times that make no sense.
     """
     fan, group, expected, motions = _settings(method)
-    given = np.zeros((0, 0))
     count = group + expected
-    begin = np.full(count, 1.0 / count)
+    given, begin = np.zeros((0, 0)), np.full(count, 1.0 / count)
     if isinstance(method, Imm):
-        if method.transition is not None:
-            given = _chances(method.transition, count)
-        if method.start is not None:
-            begin = _chances((method.start,), count)[0]
+        _, _, given, begin = changes(method)
     axes = z.shape[-1] if np.ndim(z) == 3 else 3
     z, r, time_s, x, p = check(z, r, time_s, start, first, size(motions, axes))
     n, steps, k = z.shape
@@ -491,6 +497,18 @@ def _settings(method: Imm | ExpectedMode) -> tuple[FloatArray, int, bool, Sequen
         raise SettingsError("rates_deg_s must grow", where="ema-imm", remedy="Sort them, each once.")
     turns = tuple(CoordinatedTurn(rate_deg_s=w, noise=method.noise, noise_up=method.noise_up) for w in rates)
     return table(turns), method.group, method.expected, turns
+
+
+def changes(method: Imm) -> tuple[float, float, FloatArray, FloatArray]:
+    """The chance to stay and its time, the transition (M, M) or (0, 0) for none, and the models' chances at the start (M,).
+
+    Raises SettingsError for settings that make no sense.
+    """
+    _settings(method)
+    count = len(method.models)
+    given = np.zeros((0, 0)) if method.transition is None else _chances(method.transition, count)
+    begin = np.full(count, 1.0 / count) if method.start is None else _chances((method.start,), count)[0]
+    return method.stay, method.stay_s, given, begin
 
 
 def _chances(rows: Sequence[Sequence[float]], count: int) -> FloatArray:
