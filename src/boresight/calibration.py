@@ -67,8 +67,8 @@ class Effect(msgspec.Struct, frozen=True):
 class Verdict(msgspec.Struct, frozen=True, kw_only=True):
     """What to do with one term: "apply" the correction, "hold" it back, or "insufficient" data to say.
 
-    `gain_m` is by how much the term lowers the error of targets that were held out (root mean square, metres; NaN: not
-    measured), with its 95 % interval; `why` is the reason in words.
+    `gain_m` is by how much the term lowers the error of targets that were held out (root mean square, metres, range and
+    cross-range counting by how well each is known; NaN: not measured), with its 95 % interval; `why` is the reason in words.
     """
 
     channel: str

@@ -30,7 +30,14 @@ def checked(pairs: Pairs, settings: LeastSquares = AUTO[0], model: str = "auto")
     assert {"range_bias", "azimuth_bias", "time_offset"} <= known | missing
     for verdict in found.sensors[0].verdicts:
         assert verdict.why
-        assert (verdict.decision == "apply") == (verdict.gain_low_m > 0)
+        k = found.index(next(iter(ONE)).key, verdict.term)
+        if verdict.decision == "apply" and not verdict.gain_low_m > 0:
+            # Only what is there beyond doubt, and does help, is applied without that.
+            assert verdict.gain_m > 0
+            assert k is not None
+            assert abs(found.value[0, k]) > 3.3 * found.sd[0, k]
+        else:
+            assert (verdict.decision == "apply") == (verdict.gain_low_m > 0)
     str(found)
     return found
 

@@ -106,10 +106,12 @@ def test_the_gain_is_what_held_out_targets_gain() -> None:
     s = simulated(5, {"range_bias": 200.0}, errors=WHITE)
     found = register(s.pairs, s.sensors, model="range_bias,azimuth_bias,time_offset")
     verdict = next(v for v in found.sensors[0].verdicts if v.term == "range_bias")
-    cross = np.sqrt(np.mean((s.pairs.plots.range_m * WHITE.azimuth_rad) ** 2))
-    left = np.hypot(WHITE.range_m, cross)
+    # Each coordinate counts by its inverse variance; a distance has two of them.
+    along, across = WHITE.range_m**-2.0, np.mean((s.pairs.plots.range_m * WHITE.azimuth_rad) ** -2.0)
+    weight = (along + across) / 2
+    left = np.sqrt(2 / weight)
     # The other terms take up a part of it where they can, so the gain is somewhat smaller.
-    assert verdict.gain_m == pytest.approx(np.hypot(left, 200.0) - left, rel=0.1)
+    assert verdict.gain_m == pytest.approx(np.sqrt(left**2 + 200.0**2 * along / weight) - left, rel=0.1)
     assert verdict.gain_low_m < verdict.gain_m < verdict.gain_high_m
     held = next(v for v in found.sensors[0].verdicts if v.term == "time_offset")
     assert held.decision == "hold"

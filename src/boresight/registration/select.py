@@ -45,6 +45,8 @@ _ENOUGH_TARGETS = 10
 _MOST_STEPS = 30
 # The least share of the plots of a channel that may have errors of its own.
 _CHANNEL_SHARE = 0.05
+# A term that is zero looks like none by this chance only.
+_BEYOND_DOUBT = 0.001
 # Plots that verdicts and budget are made of.
 _PLOTS = 150_000
 
@@ -394,12 +396,14 @@ class _Metres(NamedTuple):
     """Errors in metres by target.
 
     `horizontal` and `vertical` (G, p + 1, p + 1) are cross products ``[X r]' w [X r]`` of the terms and the residuals about zero,
-    `plots` (G,) the sums of the weights.
+    each coordinate with its inverse variance; `sharpness` (G,) is half the sum of these over both horizontal ones, so that
+    squares over it are those of a distance.  `plots` (G,) is the sum of the plots' weights alone.
     """
 
     horizontal: FloatArray
     vertical: FloatArray
     plots: FloatArray
+    sharpness: FloatArray
 
 
 def judge(
@@ -416,7 +420,9 @@ def judge(
     effects = tuple(dict.fromkeys(e.term for e in fitted.effects))
     names = [t.name for t in fitted.terms]
     p, count = len(names), len(fitted.normal)
-    horizontal, upright, plots = np.zeros((count, p + 1, p + 1)), np.zeros((count, p + 1, p + 1)), np.zeros(count)
+    horizontal, upright = np.zeros((count, p + 1, p + 1)), np.zeros((count, p + 1, p + 1))
+    plots, sharpness = np.zeros(count), np.zeros(count)
+    noise = np.where(np.isfinite(fitted.noise_sd), fitted.noise_sd, 0.0)
     squares: dict[str, FloatArray] = {cause: np.zeros(2) for cause in ("bias", "noise", "reference", "timing", "height")}
 
     def piece(at: slice) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, dict[str, FloatArray]]:
@@ -430,18 +436,24 @@ def judge(
         # The residuals are put back to zero by the columns: beyond what is linear in a late stamp nothing is left to judge.
         about_zero = r + x @ fitted.value
         flat = [[*(x[:, k, j] * metres[:, k] for j in range(p)), about_zero[:, k] * metres[:, k]] for k in range(3)]
-        level = grams(flat[0], w, starts) + grams(flat[1], w, starts)
-        up = grams(flat[2], np.where(np.isfinite(some.measured[at, 2]), w, 0.0), starts)
+        # Each coordinate counts as it is known: across the range, far plots would drown what all others show.
+        sharp = 1.0 / np.maximum((noise**2 + np.nan_to_num(some.reference_variance[at])) * metres**2, 1e-6) * w[:, None]
+        sharp[:, 2] = np.where(np.isfinite(some.measured[at, 2]), sharp[:, 2], 0.0)
+        level = grams(flat[0], sharp[:, 0], starts) + grams(flat[1], sharp[:, 1], starts)
+        up = grams(flat[2], sharp[:, 2], starts)
         sums = _shares(some, at, fitted, columns, place.elevation_rad, vertical[at], metres[:, :2], w)
-        return some.cluster[at][starts], level, up, np.add.reduceat(w, starts), sums
+        known = np.add.reduceat((sharp[:, 0] + sharp[:, 1]) / 2, starts)
+        return some.cluster[at][starts], level, up, np.stack([np.add.reduceat(w, starts), known]), sums
 
     for target, level, up, n, sums in in_threads(piece, slices(len(some), CHUNK // 2)):
         np.add.at(horizontal, target, level)
         np.add.at(upright, target, up)
-        np.add.at(plots, target, n)
+        np.add.at(plots, target, n[0])
+        np.add.at(sharpness, target, n[1])
         for cause, square in sums.items():
             squares[cause] += square
-    verdicts = _verdicts(fitted, folds(np.bincount(seen.cluster, minlength=count)), _Metres(horizontal, upright, plots), dropped)
+    fold = folds(np.bincount(seen.cluster, minlength=count))
+    verdicts = _verdicts(fitted, fold, _Metres(horizontal, upright, plots, sharpness), dropped)
     return verdicts, _budget(squares, float(plots.sum()), bool(np.isfinite(vertical).any()))
 
 
@@ -494,7 +506,10 @@ def _budget(squares: Mapping[str, FloatArray], plots: float, height_known: bool)
 
 
 class _Gain(NamedTuple):
-    """By how much held-out targets are nearer with a unit of terms: metres, their 95 % interval, and the error with it."""
+    """By how much held-out targets are nearer with a unit of terms: metres, their 95 % interval, and the error with it.
+
+    Root mean squares of distances whose coordinates count by how well they are known.
+    """
 
     unit: tuple[int, ...]
     metres: float
@@ -515,6 +530,7 @@ def _verdicts(fitted: Fit, fold: IntArray, metres: _Metres, dropped: Sequence[Dr
     open_units = [u for u in units(terms) if not any(terms[k].is_nuisance for k in u)]
     n = metres.plots[metres.plots > 0]
     effective = float(n.sum() ** 2 / max((n**2).sum(), 1e-300)) if len(n) else 0.0
+    sure = {u for u in open_units if _is_there(fitted, u)}
     found: dict[int, Verdict] = {}
     lacking = _lacking(len(n), effective, n)
     if lacking:
@@ -524,12 +540,12 @@ def _verdicts(fitted: Fit, fold: IntArray, metres: _Metres, dropped: Sequence[Dr
                 found[k] = Verdict(channel=term.channel, term=term.base, decision="insufficient", why=lacking)
     while open_units:
         gains = [_gain(fitted, inside, unit, fold, metres, effective) for unit in open_units]
-        weak = [g for g in gains if not g.low > 0]
+        weak = [g for g in gains if not g.low > 0 and not (g.metres > 0 and g.unit in sure)]
         # Of terms that help alike the later in the order of importance goes first.
         done = [min(weak, key=lambda g: g.metres / g.sd if g.sd > 0 else g.metres)] if weak else gains
         for gain in done:
             for k in gain.unit:
-                found[k] = _verdict(terms, gain, k, effective)
+                found[k] = _verdict(terms, gain, k, effective, gain.unit in sure)
         if not weak:
             break
         inside = [k for k in inside if k not in done[0].unit]
@@ -543,6 +559,17 @@ def _verdicts(fitted: Fit, fold: IntArray, metres: _Metres, dropped: Sequence[Dr
             if not d.why.endswith("measures no elevation")
         ),
     )
+
+
+def _is_there(fitted: Fit, unit: Sequence[int]) -> bool:
+    """Whether a unit of terms differs from zero beyond doubt (F test over the effective targets, p < 0.001)."""
+    from scipy.special import fdtrc
+
+    index = np.array(unit)
+    value, covariance = fitted.value[index], fitted.covariance[np.ix_(index, index)]
+    size = np.sqrt(np.diag(covariance))
+    square = float(value / size @ np.linalg.solve(covariance / np.outer(size, size), value / size))
+    return float(fdtrc(len(unit), max(fitted.effective - 1.0, 2.0), square / len(unit))) < _BEYOND_DOUBT
 
 
 def _lacking(count: int, effective: float, plots: FloatArray) -> str:
@@ -573,21 +600,21 @@ def _gain(fitted: Fit, inside: Sequence[int], unit: tuple[int, ...], fold: IntAr
 
     rest = [k for k in inside if k not in unit]
     without, with_ = left(rest), left(inside)
-    plots, count = metres.plots, int((metres.plots > 0).sum())
+    plots, count = metres.sharpness, int((metres.plots > 0).sum())
 
     def apart(a: FloatArray | float, b: FloatArray | float, n: FloatArray | float) -> FloatArray:
         return np.asarray(np.sqrt(np.maximum(a, 0.0) / n) - np.sqrt(np.maximum(b, 0.0) / n))
 
     gain = float(apart(without.sum(), with_.sum(), plots.sum()))
-    there = plots > 0
+    there = metres.plots > 0
     one_less = apart(without.sum() - without[there], with_.sum() - with_[there], plots.sum() - plots[there])
     sd = float(np.sqrt((count - 1) / count * ((one_less - one_less.mean()) ** 2).sum()))
     half = float(stdtrit(max(effective - 1.0, 2.0), 0.975)) * sd
     return _Gain(unit, gain, gain - half, gain + half, float(np.sqrt(with_.sum() / plots.sum())), sd)
 
 
-def _verdict(terms: Sequence[Term], gain: _Gain, k: int, effective: float) -> Verdict:
-    """The verdict on term k of a unit."""
+def _verdict(terms: Sequence[Term], gain: _Gain, k: int, effective: float, sure: bool) -> Verdict:
+    """The verdict on term k of a unit; `sure` is whether the unit is there beyond doubt."""
     others = [terms[j].name for j in gain.unit if j != k]
     together = f" (together with {' and '.join(others)})" if 0 < len(others) < 4 else " (with its table)" if others else ""
     amounts = f"{gain.metres:+.3g} m, 95 % between {gain.low:+.3g} and {gain.high:+.3g} m"
@@ -595,6 +622,9 @@ def _verdict(terms: Sequence[Term], gain: _Gain, k: int, effective: float) -> Ve
     if gain.low > 0:
         decision = "apply"
         why = f"held-out targets come nearer by {gain.metres:.3g} m, to {gain.left:.3g} m{together}"
+    elif sure and gain.metres > 0:
+        decision = "apply"
+        why = f"it is there beyond doubt, though few targets show its gain ({amounts}){together}"
     elif effective < _ENOUGH_TARGETS and gain.high > 0:
         decision = "insufficient"
         more = ""
