@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 
 from ..errors import NothingToDo, SettingsError
 from ._options import Json, print_json
 
-assess = App(name="assess", help="Judge a result: against a requirement.", help_format="plaintext")
+assess = App(name="assess", help="Judge a result: against a requirement, or by two targets.", help_format="plaintext")
 
 
 @assess.command
@@ -76,3 +76,56 @@ def requirement(
     if wanted.example:
         print(f"\nwarning: {wanted.name} is marked as an example: {wanted.note or 'its figures are vouched for by nobody'}",
               file=sys.stderr)  # fmt: skip
+
+
+@assess.command
+def correlation(
+    result: Path,
+    /,
+    *,
+    targets: Annotated[list[str], Parameter(name="--targets", consume_multiple=True, negative="")],
+    sensor: str | None = None,
+    motion: Literal["straight", "curved", "all"] = "straight",
+    out: Path | None = None,
+    json: Json = False,
+) -> None:
+    """Correlate the errors of two targets that the radar of RESULT saw at the same time: does one tell the other's?
+
+    Parameters
+    ----------
+    result
+        Folder that calibrate --out has written.
+    targets
+        Two targets, by name or number as in residuals.parquet.
+    sensor
+        Name of the radar, where the result has several.
+    motion
+        straight, curved, or all: the segments of both traces that are compared.
+    out
+        Write figures and numbers to this HTML file (.html), or the numbers to this JSON file (.json).
+    json
+        Print the numbers as JSON.
+    """
+    from ..assessment.correlation import correlate, correlation_json, correlation_text, traces_of_result
+
+    if out is not None and out.suffix.lower() not in (".html", ".json"):
+        raise SettingsError(f"{out} is neither .html nor .json", where="--out", remedy="Name a page or a JSON file.")
+    if out is not None and out.exists():
+        raise SettingsError(f"{out} exists", where="--out", remedy="Name another file.")
+    if len(targets) != 2 or targets[0] == targets[1]:
+        raise SettingsError("two different targets are needed", where="--targets", remedy="Give two names, as --targets A B.")
+    found = correlate(*traces_of_result(result, (targets[0], targets[1]), sensor), motion=motion)
+    if out is not None and out.suffix.lower() == ".html":
+        from ..report.correlation import write_correlation
+
+        write_correlation(found, out)
+    elif out is not None:
+        import msgspec
+
+        from .._files import write_bytes
+
+        write_bytes(out, msgspec.json.format(msgspec.json.encode(correlation_json(found.found)), indent=2))
+    if json:
+        print_json({"correlation": correlation_json(found.found)})
+        return
+    print(correlation_text(found.found))

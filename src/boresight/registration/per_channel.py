@@ -111,8 +111,8 @@ class ChannelFit:
     """One channel's model as fitted: correction = columns · value.
 
     `columns` (p,) are those that were kept, the constant first, `value` (p,) and `covariance` (p, p) SI; `dropped` names those
-    that were not, and why.  `rank` is that of all `offered` columns, `condition` the condition number of their MᵀM as printed
-    (not centred); `rmse` of the residuals of the inliers, `noise_sd` with the degrees of freedom taken off.
+    that were not, and why.  `rank` is that of all `offered` columns; `rmse` is of the residuals of the inliers, `noise_sd` with
+    the degrees of freedom taken off.
     """
 
     channel: int
@@ -123,7 +123,6 @@ class ChannelFit:
     dropped: tuple[tuple[str, str], ...]
     offered: int
     rank: int
-    condition: float
     rmse: float
     noise_sd: float
     jerk: bool = False
@@ -156,7 +155,7 @@ def solve_safely(
     of which column-pivoted QR leaves less than `tolerance` is made of others: both are left out.  A `ridge` relative to the
     scaled columns keeps what is left finite.  With `tolerance` 0 only what is zero to machine precision is left out.
     """
-    from scipy.linalg import qr, solve_triangular
+    from scipy.linalg import qr
 
     n, p = x.shape
     w = np.ones(n) if weight is None else weight
@@ -194,8 +193,9 @@ def solve_safely(
     # The ridge as rows below the data; orthogonal factors instead of normal equations.
     stacked = np.concatenate([scaled, np.sqrt(ridge * total) * np.eye(q)])
     basis, r = qr(stacked, mode="economic") if q else (np.zeros((n, 0)), np.zeros((0, 0)))
-    slope = solve_triangular(r, basis[:n].T @ (root * (y - middle))) / spread[free] if q else np.zeros(0)
-    inverse = solve_triangular(r, np.eye(q)) / spread[free][:, None] if q else np.zeros((0, 0))
+    # Of seven columns at most: no triangular solver is faster than this.
+    solved = np.linalg.solve(r, np.column_stack([np.eye(q), basis[:n].T @ (root * (y - middle))])) / spread[free][:, None]
+    slope, inverse = solved[:, -1], solved[:, :-1]
     value = np.r_[middle - mean[free] @ slope, slope]
     # The constant is the mean less what the other columns have at theirs.
     back = np.zeros((1 + q, 1 + q))
@@ -282,7 +282,7 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                 fits.append(None)
                 continue
             rows = np.flatnonzero(known)
-            some = _rows(place, rows)
+            some = rows_of(place, rows)
             y, w = correction[rows, channel], weight[rows]
             order, score = self._order(channel, some, y, w, cluster[rows], block[rows])
             found, good, passes, calm = self._fit(channel, order, some, y, w, block[rows])
@@ -318,7 +318,6 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         inflation = _inflation(residual[good], block[good])
         dropped = [(names[offered[k]], why) for k, why in sorted(solved.dropped.items())]
         dropped += [(names[k], "no term acts like it; range_refraction is the air's delay") for k in unnamed]
-        size = np.asarray(np.linalg.svd(x[good][:, offered], full_matrices=False)[1])
         found = ChannelFit(
             channel=channel,
             order=order,
@@ -328,7 +327,6 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             dropped=tuple(dropped),
             offered=len(offered),
             rank=solved.rank,
-            condition=float((size[0] / size[-1]) ** 2) if size[-1] > 0 else float("inf"),
             rmse=float(np.sqrt(np.mean(residual[good] ** 2))),
             noise_sd=noise,
             jerk=self.jerk,
@@ -380,8 +378,8 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                 test, train = np.flatnonzero(fold == f), np.flatnonzero(fold != f)
                 if not len(test) or not len(train):
                     continue
-                found = self._fit(channel, o, _rows(place, train), y[train], weight[train], block[train])[0]
-                off = y[test] - found.correction(_rows(place, test))
+                found = self._fit(channel, o, rows_of(place, train), y[train], weight[train], block[train])[0]
+                off = y[test] - found.correction(rows_of(place, test))
                 lost += float(np.minimum(off**2, (max(self.gate_sd, 3.0) * max(found.noise_sd, 1e-300)) ** 2).sum())
                 count += len(test)
             out[o] = float(np.sqrt(lost / max(count, 1)))
@@ -399,7 +397,7 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         for o in offered:
             series = []
             for rows in mine:
-                some = _rows(place, rows)
+                some = rows_of(place, rows)
                 block = blocks_of(np.zeros(len(rows), np.int64), some.time_s)
                 series.append(self._fit(channel, o, some, y[rows], weight[rows], block)[0].correction(some)[:short])
             out[o] = normalised_distance(*series)
@@ -669,8 +667,8 @@ def _weighted(
     return a.transpose(1, 0, 2).reshape(-1, len(terms)), b.T.reshape(-1)
 
 
-def _rows(place: Geometry, rows: IntArray) -> Geometry:
-    """The geometry of some rows."""
+def rows_of(place: Geometry, rows: IntArray) -> Geometry:
+    """The geometry of some rows (m,)."""
     whose = place.whose
     return Geometry(
         place.range_m[rows],

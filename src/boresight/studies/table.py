@@ -19,6 +19,8 @@ from ..report.drawing import Drawing
 _MODULES = {
     "serial-fusion": "serial_fusion",
     "covariance-conversion": "covariance_conversion",
+    "double-target": "double_target",
+    "mean-shift": "mean_shift",
 }
 
 
