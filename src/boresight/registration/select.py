@@ -61,10 +61,11 @@ def candidates(seen: Observed) -> tuple[Term, ...]:
     if seen.sensor.kind in GROUND_KINDS:
         names = [*EXTENTS, *names]
     owner = whose(seen, slice(None))
-    share = {channel: float(np.mean(touches(channel, owner))) for channel in CHANNELS}
-    present = sorted((c for c in share if share[c] >= _CHANNEL_SHARE), key=lambda c: -share[c])
-    # The commonest one has the terms of all; the others may differ from it.
-    names += [f"{base}@{channel}" for channel in present[1:] for base in ("range_bias", "azimuth_bias")]
+    # Of the channels and of the chains the commonest has the terms of all; the others may differ from it.
+    for family in (tuple(c for c in CHANNELS if not c.startswith("chain")), tuple(c for c in CHANNELS if c.startswith("chain"))):
+        share = {channel: float(np.mean(touches(channel, owner))) for channel in family}
+        present = sorted((c for c in share if share[c] >= _CHANNEL_SHARE), key=lambda c: -share[c])
+        names += [f"{base}@{channel}" for channel in present[1:] for base in ("range_bias", "azimuth_bias")]
     return tuple(map(term_of, names))
 
 
