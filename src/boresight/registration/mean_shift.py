@@ -7,6 +7,7 @@ that changes with time is the mode of the samples so far, the newer ones countin
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -354,15 +355,26 @@ def _search(
     t, z, r, e = checked(time_s, value, variance, epoch_s, "mean shift")
     # Over all history with an infinite bandwidth the numbers below stay finite.
     h, tau = float(min(bandwidth, 1e150)), float(min(tau_s, 1e150))
+    shape = _shape(h, gaussian)
 
     def part(rows: slice) -> Estimate:
         own = np.ascontiguousarray(z[rows])
         out, spread = np.full((len(own), len(e)), np.nan), np.full((len(own), len(e)), np.nan)
         missed = np.zeros(len(own), np.int64)
-        _modes(t, own, np.ascontiguousarray(r[rows]), e, tau, h, gaussian, multi_start, out, spread, missed)
+        _modes(t, own, np.ascontiguousarray(r[rows]), e, tau, h, gaussian, multi_start, out, shape, spread, missed)
         return Estimate(out, spread, missed)
 
     return joined(in_threads(part, slices(len(z), 8)))
+
+
+def _shape(h: float, gaussian: bool) -> float:
+    """For normal noise: the mean of g^2 u^2 over that of g^2, and for the flat kernel what its edge takes from the slope too."""
+    if gaussian:
+        return 1 / (1 + 2 / h**2)
+    edge = 2 * h * np.exp(-0.5 * min(h, 30.0) ** 2) / np.sqrt(2 * np.pi)
+    inside = math.erf(h / math.sqrt(2))
+    # Below a bandwidth of one the edge is all there is.
+    return float(inside / max(inside - edge, 0.2 * inside))
 
 
 def joined(parts: list[Estimate]) -> Estimate:
@@ -381,6 +393,7 @@ def _modes(
     gaussian: bool,
     multi_start: bool,
     out: FloatArray,
+    shape: float,
     spread: FloatArray,
     missed: IntArray,
 ) -> None:
@@ -440,7 +453,7 @@ def _modes(
                         off = z[i] - x
                         u2 = off * off / (h * h * r[i])
                         if gaussian:
-                            if u2 > 70.0:
+                            if u2 > 1400.0:
                                 continue
                             w = age[i] * np.exp(-0.5 * u2)
                             density += w
@@ -468,16 +481,17 @@ def _modes(
             out[s, k] = at
             if not settled:
                 missed[s] += 1
-            # What noise does to the root of the sum of influences w g (z - x) / r: its variance over its slope squared.
+            # What noise does to the root of the sum of influences w g (z - x) / r: its variance over its slope squared, with
+            # the samples' variances for the squares, which few samples do not show.
             top, slope, weight = 0.0, 0.0, 0.0
             for i in range(begin, newest + 1):
                 if np.isnan(z[i]):
                     continue
                 u2 = (z[i] - at) ** 2 / (h * h * r[i])
-                if u2 > (70.0 if gaussian else 1.0):
+                if u2 > (1400.0 if gaussian else 1.0):
                     continue
                 w = age[i] * (np.exp(-0.5 * u2) if gaussian else 1.0) / r[i]
                 top += w * w * r[i]
                 weight += w
                 slope += w * (1.0 - u2) if gaussian else w
-            spread[s, k] = top / max(slope, 0.2 * weight) ** 2 if weight > 0.0 else r[newest]
+            spread[s, k] = shape * top / max(slope, 0.2 * weight) ** 2 if weight > 0.0 else r[newest]

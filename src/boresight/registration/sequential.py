@@ -38,8 +38,9 @@ BIASES = ("range_bias", "azimuth_bias", "elevation_bias")
 _LEAST = 5
 _AGREE = 0.5
 _INLIER_SD = 3.0
+_GROSS_SD = 8.0
 _EPOCHS = 400
-_BLOCK_S = 100.0
+_BLOCK_S = 300.0
 # Below this condition number the absolute biases of both radars show in their differences.
 _NETWORK = 100.0
 # A normal variable's sd over its median absolute value.
@@ -54,7 +55,8 @@ class KalmanBank(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     Each filter has a bias and its rate; the rate's random walk is such that the filter remembers `memory_s`, a geometric series
     of `members` from the fastest to the slowest.  Their estimates are mixed by how well each has predicted the samples of the
     last `judged_s`.  Innovations beyond `huber` sd count by their sign, beyond `reject` sd not at all; `streak` of them
-    on one side (ordinary ones taken off) are a step, and the filter starts there anew.
+    on one side (ordinary ones taken off) are a step, and the filter starts
+    anew at their median.
     """
 
     memory_s: tuple[float, float] = (10.0, 2560.0)
@@ -125,7 +127,7 @@ def _bank(
     members = len(memory)
     b, d = np.zeros(members), np.zeros(members)
     p00, p01, p11 = np.zeros(members), np.zeros(members), np.zeros(members)
-    score, run = np.zeros(members), np.zeros(members)
+    score, run, far = np.zeros(members), np.zeros(members), np.zeros((members, streak))
     for s in range(value.shape[0]):
         begun, at, i = False, 0.0, 0
         for k in range(len(epoch)):
@@ -159,14 +161,14 @@ def _bank(
                     if a > 3.0:
                         side = 1.0 if v > 0 else -1.0
                         run[j] = run[j] + side if run[j] * side >= 0 else side
+                        far[j, int(abs(run[j])) - 1] = z
                     else:
                         run[j] = np.sign(run[j]) * max(abs(run[j]) - 1.0, 0.0)
                     if abs(run[j]) >= streak:
-                        run[j], weight = 0.0, 1.0
-                        p00[j] += y * y
-                        p01[j] = 0.0
+                        # The step's new level may have its outliers too.
+                        b[j], run[j], weight = np.median(far[j]), 0.0, 0.0
+                        p00[j], p01[j] = 0.5 * np.pi * r / streak, 0.0
                         p11[j] += r / memory[j] ** 2
-                        size = p00[j] + r
                     if weight > 0.0:
                         gain = 1.0 / (p00[j] + r / weight)
                         k0, k1 = p00[j] * gain, p01[j] * gain
@@ -381,7 +383,7 @@ def _scatter(value: FloatArray) -> FloatArray:
 
 def _settings(method: Online) -> dict[str, object]:
     if isinstance(method, msgspec.Struct):
-        options = msgspec.to_builtins(method)
+        options = {k: list(v) if isinstance(v, tuple) else v for k, v in msgspec.to_builtins(method).items()}
         return {"method": options.pop("type"), **options}
     return {"method": type(method).__name__}
 
@@ -445,7 +447,7 @@ def _follow(
     if not known:
         raise NothingToDo(f"{name}: {len(mine)} usable samples are too few for any bias")
     # Samples that scatter more than their sd, and samples that share what is the target's, tell less.
-    wider = np.maximum(np.nan_to_num(shown / stated, nan=1.0, posinf=1.0), 1.0)
+    wider = np.maximum(np.nan_to_num(shown / np.maximum(stated, _FLOOR), nan=1.0), 1.0)
     for c in known:
         if wider[c] > 1.5:
             unit = "m" if c == 0 else "deg"
@@ -453,35 +455,31 @@ def _follow(
             notes.append(f"{BIASES[c]}: samples scatter by {value:.3g} {unit}, {wider[c]:.1f} times what their sd say")
     r = np.maximum(variance * wider**2, _FLOOR**2)
     shared = _sharing(mine, z, r)
-    found = method(mine.time_s, z.T[known], (r * shared).T[known], epochs)
+    used = z.T[known]
+    if (shared > 1.0).any():
+        # What is an outlier is a matter of a sample's own noise, how much it tells of all that it shares.
+        first = method(mine.time_s, used, r.T[known], epochs)
+        gross = ~_agreeing(mine.time_s, used, r.T[known], epochs, _held_back(first.value), _GROSS_SD)
+        used = np.where(gross, np.nan, used)
+    found = method(mine.time_s, used, (r * shared).T[known], epochs)
     value, spread = _held_back(found.value), _held_back(found.variance)
-    inlier = _agreeing(mine.time_s, z.T[known], r.T[known], epochs, value)
-    kept = []
+    inlier = _agreeing(mine.time_s, z.T[known], r.T[known], epochs, value, _INLIER_SD)
     for j, c in enumerate(known):
-        seen = np.isfinite(z[:, c])
-        share = float(inlier[j].sum() / seen.sum())
-        if share < _AGREE:
-            missing.append(
-                NotDetermined(
-                    key, BIASES[c], f"only {100 * share:.0f} % of {seen.sum():,} samples agree with any value: most are outliers"
-                )
-            )
-            continue
-        kept.append(j)
+        count, agree = int(np.isfinite(z[:, c]).sum()), int(inlier[j].sum())
         ended = "" if not found.missed[j] else f"; at {found.missed[j]:,} of {len(epochs):,} epochs the search did not settle"
         what = f", each counted for {1 / shared[c]:.2g}, because samples of one target share errors" if shared[c] > 1.2 else ""
-        notes.append(f"{BIASES[c]}: {inlier[j].sum():,} of {seen.sum():,} samples agree within {_INLIER_SD:g} sd{what}{ended}")
-    if not kept:
-        raise NothingToDo(
-            f"{name}: {'; '.join(m.why for m in missing)}", remedy="Are the targets the same, and the clocks right?"
-        )
-    known, value, spread = [known[j] for j in kept], value[kept], spread[kept]
+        notes.append(f"{BIASES[c]}: {agree:,} of {count:,} samples agree within {_INLIER_SD:g} sd{what}{ended}")
+        if agree < _AGREE * count:
+            notes.append(
+                f"{BIASES[c]}: most samples do not agree: they are outliers, or the bias changes faster than the method follows"
+            )
     k = len(epochs)
     covariance = np.zeros((k, len(known), len(known)))
     # Errors of one sample in range, azimuth and elevation correlate a little where the radars stand apart.
-    mean = np.nanmean(mine.covariance, axis=0)[np.ix_(known, known)]
+    mean = np.nanmean(mine.covariance[:, known][:, :, known], axis=0)
     size = np.sqrt(np.diag(mean))
     rho = mean / np.maximum(size[:, None] * size, 1e-300)
+    np.fill_diagonal(rho, 1.0)
     sd = np.sqrt(spread.T)
     covariance[:] = sd[:, :, None] * rho * sd[:, None, :]
     noise = np.where(np.isfinite(shown), shown, np.nan)
@@ -543,14 +541,16 @@ def _sharing(samples: Samples, value: FloatArray, variance: FloatArray) -> Float
     return np.where(out < 2.0, 1.0, out)
 
 
-def _agreeing(time_s: FloatArray, value: FloatArray, variance: FloatArray, epochs: FloatArray, found: FloatArray) -> BoolArray:
-    """Which samples (m, n) lie within three sd of the bias at their time."""
+def _agreeing(
+    time_s: FloatArray, value: FloatArray, variance: FloatArray, epochs: FloatArray, found: FloatArray, within_sd: float
+) -> BoolArray:
+    """Which samples (m, n) lie within so many sd of the bias at their time."""
     out = np.zeros(value.shape, bool)
     for j in range(len(value)):
         known = np.isfinite(found[j])
         at = np.interp(time_s, epochs[known], found[j, known]) if known.any() else np.full(len(time_s), np.nan)
         with np.errstate(invalid="ignore"):
-            out[j] = np.abs(value[j] - at) <= _INLIER_SD * np.sqrt(variance[j])
+            out[j] = np.abs(value[j] - at) <= within_sd * np.sqrt(variance[j])
     return out
 
 

@@ -20,6 +20,7 @@ _MODULES = {
     "serial-fusion": "serial_fusion",
     "covariance-conversion": "covariance_conversion",
     "double-target": "double_target",
+    "mean-shift": "mean_shift",
 }
 
 

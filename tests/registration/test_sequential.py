@@ -1,0 +1,269 @@
+"""Biases over time: the bank against a plain Kalman filter, honest variances, steps, and whole calibrations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import DEG, EPOCH, scene
+from test_mean_shift import BIAS, FAR, MAIN, NEAR, THREE, recording
+
+from boresight.calibration import Calibration, load_calibration, save_calibration, summary_json
+from boresight.correction import correct
+from boresight.errors import NothingToDo, SettingsError
+from boresight.model import Sensor, Sensors
+from boresight.registration import register
+from boresight.registration.mean_shift import Samples, relative_samples
+from boresight.registration.sequential import METHODS, KalmanBank, online_samples, register_online, register_relative
+
+
+def samples(
+    value: np.ndarray, sd: tuple[float, float, float] = (30.0, 1e-3, 1e-3), *, step_s: float = 1.0, targets: int = 4
+) -> Samples:
+    """Samples (n, 3) as they come from one radar."""
+    n = len(value)
+    return Samples(
+        EPOCH + step_s * np.arange(n), value, np.tile(np.diag(np.square(sd)), (n, 1, 1)), np.tile([40e3, 1.0, 0.1], (n, 1)),
+        np.arange(n) % targets, np.full(n, -1), np.zeros((n, 3)), np.full((n, 3, 3), np.nan),
+    )  # fmt: skip
+
+
+def drawn(seed: int, n: int = 400, sd: tuple[float, float, float] = (30.0, 1e-3, 1e-3)) -> np.ndarray:
+    return np.array([100.0, 5e-3, -2e-3]) + np.random.default_rng(seed).normal(size=(n, 3)) * sd
+
+
+def value(found: Calibration, term: str, sensor: int) -> tuple[np.ndarray, np.ndarray]:
+    k = found.index(sensor, term)
+    assert k is not None
+    return found.value[:, k], found.sd[:, k]
+
+
+def test_one_member_without_robustness_is_a_kalman_filter() -> None:
+    rng = np.random.default_rng(1)
+    t = np.cumsum(rng.uniform(0.5, 2.0, 80))
+    z, r = rng.normal(size=80).cumsum() * 0.3, rng.uniform(0.5, 2.0, 80)
+    bank = KalmanBank(memory_s=(25.0, 25.0), members=1, huber=1e6, reject=1e6, streak=1000)
+    epochs = np.append(t, t[-1] + 5.0)
+    found = bank(t, z[None], r, epochs)
+    q = np.median(r) * np.diff(t).mean() / 25.0**4
+    x, p = np.array([z[0], 0.0]), np.diag([r[0], r[0] / 25.0**2])
+    h = np.array([[1.0, 0.0]])
+    for k in range(1, 81):
+        dt = epochs[k] - epochs[k - 1]
+        f = np.array([[1.0, dt], [0.0, 1.0]])
+        x, p = f @ x, f @ p @ f.T + q * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+        if k < 80:
+            s = h @ p @ h.T + r[k]
+            gain = p @ h.T / s
+            x, p = x + gain[:, 0] * (z[k] - x[0]), (np.eye(2) - gain @ h) @ p
+        assert found.value[0, k] == pytest.approx(x[0], rel=1e-9)
+        assert found.variance[0, k] == pytest.approx(p[0, 0], rel=1e-9)
+
+
+@pytest.mark.parametrize(("period", "high"), [(np.inf, 1.1), (1600.0, 1.3), (400.0, 1.4)])
+def test_the_variance_of_the_bank_is_true(period: float, high: float) -> None:
+    """Squared errors over 60 series; the mixture is cautious where nothing changes."""
+    rng = np.random.default_rng(2)
+    t = np.arange(0.0, 800.0, 0.5)
+    phase = rng.uniform(0, 6, (60, 1))
+    truth = 3.0 * np.sin(2 * np.pi * t / period + phase)
+    found = KalmanBank()(t, truth + rng.normal(size=truth.shape), 1.0, t)
+    assert 0.45 < ((found.value - truth)[:, 40:] ** 2 / found.variance[:, 40:]).mean() < high
+
+
+def test_a_step_is_taken_up_at_once_with_outliers_on_one_side() -> None:
+    rng = np.random.default_rng(3)
+    t = np.arange(400.0)
+    truth = np.where(t < 200, 0.0, 10.0)
+    z = truth + rng.normal(size=(60, 400)) + (rng.random((60, 400)) < 0.1) * rng.uniform(5, 15, (60, 400))
+    error = np.abs(KalmanBank()(t, z, 1.0, t).value - truth)
+    assert np.percentile(error[:, 212:], 99) < 1.0
+    assert error[:, 20:200].max() < 2.0
+    assert np.percentile(error[:, 20:200], 99) < 0.8
+
+
+# -------------------------------------------------------------------------------------------------------------- calibrations
+@pytest.mark.parametrize("name", METHODS)
+def test_radars_are_registered_to_the_main_one(name: str, tmp_path: Path) -> None:
+    plots = recording(targets=8)
+    differences = relative_samples(plots, THREE, MAIN)
+    found = register_relative(differences, THREE, MAIN, method=METHODS[name])
+    truth = BIAS[NEAR.key] - BIAS[MAIN.key]
+    for term, true in zip(("range_bias", "azimuth_bias", "elevation_bias"), truth, strict=True):
+        got, sd = value(found, term, NEAR.key)
+        assert abs(got[-1] - true) <= 4 * sd[-1] + 1e-4 * abs(true)
+        assert abs(true) > 5 * sd[-1]
+    assert found.settings["method"] == name
+    assert found.settings["kind"] == "relative"
+    # What is absolute is refused, with the reason and the number.
+    absolute = [n for n in found.not_determined if n.sensor == MAIN.key]
+    assert {n.term for n in absolute} == {"range_bias", "azimuth_bias", "elevation_bias"}
+    assert all("condition number" in n.why and "reference" in n.why for n in absolute)
+    (summary,) = found.sensors
+    assert summary.model == "relative to M"
+    assert summary.after.median_m < 0.3 * summary.before.median_m
+    assert any("samples agree within 3 sd" in note for note in summary.notes)
+    assert any("relative: bias of N minus bias of M" in note for note in summary.notes)
+    str(found)
+    summary_json(found)
+    save_calibration(found, tmp_path / "calibration.json")
+    again = load_calibration(tmp_path / "calibration.json")
+    np.testing.assert_allclose(again.value, found.value)
+    assert again.settings == found.settings
+
+
+def test_a_corrected_radar_agrees_with_the_main_one() -> None:
+    plots = recording(targets=8)
+    found = register_relative(relative_samples(plots, THREE, MAIN), THREE, MAIN)
+    clean = correct(plots, found)
+    left = relative_samples(clean, THREE, MAIN)[NEAR.key]
+    sd = np.sqrt(np.diagonal(left.covariance, axis1=1, axis2=2)).mean(axis=0)
+    late = left.time_s > left.time_s[0] + 60
+    assert (np.abs(left.value[late].mean(axis=0)) < 0.1 * sd).all()
+
+
+def test_estimates_against_one_main_radar_share_its_noise() -> None:
+    """Over 60 recordings the errors correlate as the covariance says."""
+    other = Sensor(name="O", id=70009, lat_deg=46.0002, lon_deg=14.0, height_m=300.0, range_sd_m=20.0, azimuth_sd_deg=0.05,
+                   elevation_sd_deg=0.05)  # fmt: skip
+    BIAS[other.key] = np.zeros(3)
+    sensors = Sensors((MAIN, NEAR, other))
+    off, said, wide = [], [], []
+    for seed in range(60):
+        plots = recording((MAIN, NEAR, other), targets=2, duration_s=240.0, seed=100 + seed, together=True)
+        found = register_relative(relative_samples(plots, sensors, MAIN), sensors, MAIN)
+        k = [found.index(s, "azimuth_bias") for s in (NEAR.key, other.key)]
+        truth = np.array([BIAS[s][1] - BIAS[MAIN.key][1] for s in (NEAR.key, other.key)])
+        off.append(found.value[-1, k] - truth)
+        c = found.covariance[-1][np.ix_(k, k)]
+        said.append(c[0, 1] / np.sqrt(c[0, 0] * c[1, 1]))
+        wide.append(np.diag(c))
+        assert np.linalg.eigvalsh(found.covariance[-1] / np.outer(found.sd[-1], found.sd[-1])).min() > 0
+    e = np.array(off)
+    assert np.mean(said) == pytest.approx(0.5, abs=0.05)
+    assert np.corrcoef(e.T)[0, 1] == pytest.approx(0.5, abs=0.3)
+    assert 0.3 < (e**2 / np.array(wide)).mean() < 1.6
+
+
+def test_terms_that_differences_cannot_tell_are_refused() -> None:
+    differences = relative_samples(recording(targets=2), THREE, MAIN)
+    with pytest.raises(SettingsError, match="relative biases only, not time_offset"):
+        register_relative(differences, THREE, MAIN, terms=("range_bias", "time_offset"))
+    with pytest.raises(SettingsError, match="against itself"):
+        register_relative({MAIN.key: differences[NEAR.key]}, THREE, MAIN)
+    with pytest.raises(SettingsError, match="step_s"):
+        register_relative(differences, THREE, MAIN, step_s=0.0)
+    with pytest.raises(NothingToDo):
+        register_relative({}, THREE, MAIN)
+    only = register_relative(differences, THREE, MAIN, terms=("azimuth_bias",))
+    assert [k.name for k in only.terms] == ["azimuth_bias"]
+
+
+def test_radars_far_apart_are_sent_to_the_network() -> None:
+    plots = recording((MAIN, FAR), targets=8)
+    found = register_relative(relative_samples(plots, THREE, MAIN), THREE, MAIN)
+    assert any("as a network" in note for note in found.sensors[0].notes)
+    near = register_relative(relative_samples(recording(), THREE, MAIN), THREE, MAIN)
+    assert not any("as a network" in note for note in near.sensors[0].notes)
+
+
+def test_a_drifting_bias_is_followed_against_a_reference() -> None:
+    rng = np.random.default_rng(4)
+    t = np.arange(3000.0)
+    drift = 100.0 + 80.0 * np.sin(2 * np.pi * t / 3000.0)
+    z = np.stack([drift, np.full(3000, 5e-3), np.full(3000, np.nan)], axis=1) + rng.normal(size=(3000, 3)) * [30.0, 1e-3, 1e-3]
+    found = register_online(samples(z), MAIN, step_s=10.0)
+    assert len(found.epoch_s) == 301
+    assert found.epoch_s[-1] == EPOCH + 2999.0
+    got, sd = value(found, "range_bias", MAIN.key)
+    truth = np.interp(found.epoch_s - EPOCH, t, drift)
+    late = found.epoch_s > EPOCH + 100
+    assert np.sqrt(np.mean((got - truth)[late] ** 2)) < 8.0
+    assert 0.4 < np.mean(((got - truth) / sd)[late] ** 2) < 1.6
+    missing = {n.term: n.why for n in found.not_determined}
+    assert missing == {"elevation_bias": "elevation is not measured"}
+
+
+def test_pairs_give_samples_and_the_other_terms_stay() -> None:
+    truth = {"A": {"range_bias": 120.0, "azimuth_bias": 0.3 * DEG, "time_offset": 0.8}}
+    s = scene(
+        3,
+        truth,
+        sensors=Sensors((Sensor(name="A", sac=1, sic=1, lat_deg=46.0, lon_deg=14.0, height_m=300.0),)),
+        targets=25,
+    )
+    static = register(s.pairs, s.sensors, model=("range_bias", "azimuth_bias", "time_offset"))
+    sensor = s.sensors.sensor[0]
+    mine = online_samples(s.pairs, s.sensors, beside=static)[sensor.key]
+    found = register_online(mine, sensor, beside=static)
+    assert {k.name for k in found.terms} == {"range_bias", "azimuth_bias", "time_offset"}
+    np.testing.assert_allclose(value(found, "time_offset", sensor.key)[0], value(static, "time_offset", sensor.key)[0][0])
+    for name in ("range_bias", "azimuth_bias"):
+        got, sd = value(found, name, sensor.key)
+        wrong = (got - truth["A"][name]) / sd
+        # Targets' own delays are not white: sd that took every plot for itself would be several times too small.
+        assert np.median(np.abs(wrong)) < 1.5
+        assert np.percentile(np.abs(wrong), 95) < 3
+    # Without them the time offset spoils the samples.
+    raw = online_samples(s.pairs, s.sensors)[sensor.key]
+    assert np.std(raw.value[:, 0]) > 1.5 * np.std(mine.value[:, 0])
+    clean = correct(s.pairs.plots, found)
+    assert len(clean) == len(s.pairs)
+
+
+def test_bad_samples_are_left_out_or_said() -> None:
+    z = drawn(5)
+    holed = samples(z)
+    holed.value[::3, 2] = np.nan
+    holed.value[5] = np.nan
+    holed.time_s[7] = np.nan
+    found = register_online(holed, MAIN)
+    assert np.isfinite(found.value).all()
+    assert np.isfinite(found.covariance).all()
+    assert any("2 of 400 samples were left out" in note for note in found.sensors[0].notes)
+    with pytest.raises(NothingToDo, match="too few"):
+        register_online(samples(z[:3]), MAIN)
+    with pytest.raises(NothingToDo, match="no sample with a time"):
+        register_online(samples(z[:0]), MAIN)
+
+
+def test_nothing_but_outliers_gives_a_number_nobody_can_mistake() -> None:
+    wild = np.random.default_rng(6).uniform(-1, 1, (400, 3)) * [1e5, 1.0, 0.5]
+    found = register_online(samples(wild), MAIN)
+    assert value(found, "range_bias", MAIN.key)[1][-1] > 1e3
+    assert sum("times what their sd say" in note for note in found.sensors[0].notes) == 3
+    # All history does not follow a drift.
+    z = drawn(11) + np.linspace(0, 6000, 400)[:, None] * [1.0, 0.0, 0.0]
+    said = register_online(samples(z), MAIN, method=METHODS["mean-shift"]).sensors[0].notes
+    assert any("most samples do not agree" in note for note in said)
+
+
+def test_constant_samples_and_equal_times_have_defined_values() -> None:
+    same = register_online(samples(np.tile([50.0, 1e-3, 0.0], (100, 1)), (0.0, 0.0, 0.0)), MAIN)
+    np.testing.assert_allclose(same.value[-1], [50.0, 1e-3, 0.0], atol=1e-9)
+    assert (same.sd > 0).all()
+    assert np.isfinite(same.sd).all()
+    at_once = register_online(samples(drawn(8), step_s=0.0), MAIN)
+    assert len(at_once.epoch_s) == 1
+    assert abs(at_once.value[0, 0] - 100.0) < 5 * at_once.sd[0, 0]
+
+
+def test_samples_that_scatter_more_than_they_say_are_taken_for_what_they_are() -> None:
+    z = drawn(9, sd=(90.0, 1e-3, 1e-3))
+    found = register_online(samples(z), MAIN)
+    assert any("range_bias: samples scatter by" in note and "times what their sd say" in note for note in found.sensors[0].notes)
+    got, sd = value(found, "range_bias", MAIN.key)
+    assert abs(got[-1] - 100.0) < 4 * sd[-1]
+    assert found.sensors[0].noise.range_m == pytest.approx(90.0, rel=0.15)
+
+
+def test_errors_that_a_target_keeps_to_itself_widen_the_sd() -> None:
+    rng = np.random.default_rng(10)
+    z = drawn(10, 4000)
+    own = np.repeat(rng.normal(size=(20, 1)) * [60.0, 0.0, 0.0], 200, axis=0).reshape(20, 200, 3)
+    mixed = samples(z + own.transpose(1, 0, 2).reshape(4000, 3), targets=20)
+    shared = register_online(mixed, MAIN)
+    plain = register_online(samples(z), MAIN)
+    assert value(shared, "range_bias", MAIN.key)[1][-1] > 2 * value(plain, "range_bias", MAIN.key)[1][-1]
+    assert any("samples of one target share errors" in note for note in shared.sensors[0].notes)
