@@ -7,6 +7,7 @@ import shlex
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from boresight.cli import app
@@ -88,6 +89,27 @@ def test_the_code_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyP
     exec(compile(block, "README.md", "exec"), names)
     assert "azimuth_bias" in capsys.readouterr().out
     assert len(names["clean"]) > 0
+
+
+def test_the_page_on_fusion_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    names: dict[str, object] = {}
+    found = blocks(ROOT / "docs" / "fusion.md")
+    assert len(found) >= 4
+    for k, block in enumerate(found):
+        exec(compile(block, f"fusion.md, block {k + 1}", "exec"), names)
+    beta, choice, last = capsys.readouterr().out.splitlines()
+    assert float(beta.strip("[]")) == pytest.approx(120e3 * np.radians(0.3) ** 2 * (1 + np.cos(np.radians(2.0)) ** 2) / 100)
+    assert choice == "decorrelated"
+    # The table of methods names what there is.
+    listed = {
+        c.partition("(")[0]
+        for row in rows(section(ROOT / "docs" / "fusion.md", "A covariance in another frame"))
+        for c in code(row[0])
+    }
+    assert all(hasattr(names["frames"], name) for name in listed)
+    off, nis = map(float, last.split())
+    assert off < 2000
+    assert 1 < nis < 6
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
