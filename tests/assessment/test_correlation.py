@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,8 +28,12 @@ from boresight.assessment.correlation import (
     shared,
     theil,
 )
+from boresight.assessment.residuals import Residuals
+from boresight.calibration import Accuracy, Calibration, Noise, Summary, TermKey, save_calibration
+from boresight.cli import main
 from boresight.errors import NothingToDo, SettingsError
 from boresight.measure import enu_from_polar
+from boresight.writing.tables import write_table
 
 DEG = np.pi / 180
 numbers = st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40)
@@ -220,3 +228,113 @@ def test_a_still_target_at_the_antennas_height() -> None:
     # Elevation errors of exactly zero: equal constant series.
     assert found.channels[2].models[0].theil == 0.0
     assert found.channels[2].models[0].r == 1.0
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A result of two radars: both saw BOAT-A and BOAT-B, the first one also a target of three plots."""
+    folder = tmp_path_factory.mktemp("result")
+    parts = []
+    for sensor, names in ((1, "AB"), (2, "AB")):
+        for k, trace in enumerate(two_traces(sensor, 0.0)):
+            n = len(trace)
+            columns = {f.name: np.zeros(n, f.metadata["dtype"]) for f in fields(Residuals)}
+            columns |= {
+                "time_s": 1.7e9 + trace.time_s,
+                "sensor": np.full(n, sensor, np.int32),
+                "target": np.full(n, k + 10),
+                "reference_range_m": trace.place.range_m,
+                "reference_azimuth_rad": trace.place.azimuth_rad % (2 * np.pi),
+                "reference_elevation_rad": trace.place.elevation_rad,
+                "range_before_m": trace.error[:, 0],
+                "azimuth_before_rad": trace.error[:, 1],
+                "elevation_before_rad": np.full(n, np.nan),
+            }
+            columns["target_name"] = np.full(n, f"BOAT-{names[k]}", object)
+            parts.append(columns)
+    short = {name: column[:3].copy() for name, column in parts[0].items()}
+    short["target"][:], short["target_name"][:] = 12, "BUOY"
+    parts.append(short)
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    write_table(folder / "residuals.parquet", joined)
+    nothing = Accuracy(1.0, 2.0)
+    summaries = tuple(
+        Summary(sensor=key, name=f"radar {key}", model="constant", noise=Noise(5.0, 0.001), plots=600, tracks=2, targets=2,
+                before=nothing, after=nothing)
+        for key in (1, 2)
+    )  # fmt: skip
+    save_calibration(
+        Calibration((TermKey(1, "all", "range_bias", "m"),), np.zeros(1), np.zeros((1, 1)), np.ones((1, 1, 1)), summaries),
+        folder / "calibration.json",
+    )
+    return folder
+
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    def call(*arguments: str) -> tuple[int, str, str]:
+        status = 0
+        try:
+            main(arguments)
+        except SystemExit as stop:
+            status = int(stop.code or 0)
+        said = capsys.readouterr()
+        return status, said.out, said.err
+
+    return call
+
+
+def test_the_command_prints_text_json_and_a_page(result: Path, run: Run, tmp_path: Path) -> None:
+    page, numbers = tmp_path / "page.html", tmp_path / "numbers.json"
+    begin = ("assess", "correlation", str(result), "--targets", "BOAT-A", "BOAT-B", "--sensor", "radar 1")
+    status, out, err = run(*begin, "--out", str(page))
+    assert (status, err) == (0, "")
+    assert "BOAT-A and BOAT-B" in out
+    assert "2 √N" in out
+    text = page.read_text()
+    assert text.count("<figure") == 3
+    assert "http" not in text.replace("http://www.w3.org", "")
+    status, out, _ = run(*begin, "--json", "--out", str(numbers))
+    assert status == 0
+    assert json.loads(out)["correlation"] == json.loads(numbers.read_text())
+    channel = json.loads(out)["correlation"]["channels"][0]
+    assert channel["models"][0]["distance"] == pytest.approx(2 * np.sqrt(json.loads(out)["correlation"]["matched"]), abs=1e-9)
+    # By number, too.
+    assert run("assess", "correlation", str(result), "--targets", "10", "11", "--sensor", "radar 2")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--targets", "BOAT-A", "NOBODY"), "no target is called 'NOBODY'. Those with most plots: BOAT-A, BOAT-B, BUOY"),
+        (("--targets", "BOAT-A"), "two different targets"),
+        (("--targets", "BOAT-A", "BOAT-A"), "two different targets"),
+        (("--targets", "BOAT-A", "BOAT-B"), "several radars saw both targets: radar 1, radar 2"),
+        (("--targets", "BOAT-A", "BOAT-B", "--sensor", "radar 9"), "no sensor 'radar 9'"),
+        (("--targets", "BOAT-A", "BUOY", "--sensor", "radar 1"), "BUOY has 3 plots: too few"),
+        (("--targets", "BOAT-A", "BUOY", "--sensor", "radar 2"), "no radar saw both"),
+        (("--targets", "BOAT-A", "BOAT-B", "--sensor", "radar 1", "--out", "x.txt"), "neither .html nor .json"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(result: Path, run: Run, arguments: tuple[str, ...], said: str) -> None:
+    status, out, err = run("assess", "correlation", str(result), *arguments)
+    assert status == 2
+    assert out == ""
+    assert said in err
+    assert len(err.strip().splitlines()) == 1
+
+
+def test_a_folder_without_a_result(run: Run, tmp_path: Path) -> None:
+    status, _, err = run("assess", "correlation", str(tmp_path), "--targets", "A", "B")
+    assert status == 2
+    assert "no residuals.parquet" in err
+
+
+def test_the_page_tells_the_truth(capsys: pytest.CaptureFixture[str]) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "correlation.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    exec(compile(block, "correlation.md", "exec"), {})
+    assert "boat and platform" in capsys.readouterr().out

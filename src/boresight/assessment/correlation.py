@@ -507,7 +507,7 @@ def correlate(first: Trace, second: Trace, *, motion: Motion = "straight") -> Co
         if constant.theil < 0.3 and c.raw.concordance.low <= 0 <= c.raw.concordance.high:
             remarks.append(
                 f"{c.channel}: the Theil coefficient of {constant.theil:.2f} only says that both means are alike; scan by scan "
-                "the errors know nothing of each other (the concordance's interval holds 0)"
+                "nothing shows that the errors are shared (the concordance's interval holds 0)"
             )
     remarks.append("constant models are 2 √N apart whatever the data: their r tells how many scans there were, and nothing else")
     return Correlation(

@@ -51,7 +51,7 @@ def trace_figure(traces: tuple[Trace, Trace], *, text: str = "") -> Drawing:
                     linewidth=1.0 if s.curved else 2.2,
                 )  # fmt: skip
         axes.plot(0, 0, marker="^", color=INK, markersize=6)
-        axes.text(0, 0, "  radar", fontsize=7.5, va="center")
+        axes.annotate("radar", (0, 0), (7, -3), textcoords="offset points", fontsize=7.5)
         axes.set_aspect("equal", adjustable="datalim")
         name = "km" if unit > 1 else "m"
         axes.set_xlabel(f"east ({name})")
@@ -62,8 +62,8 @@ def trace_figure(traces: tuple[Trace, Trace], *, text: str = "") -> Drawing:
         svg = to_svg(figure, "traces")
     count = [sum(not s.curved for s in t.segments) for t in traces]
     caption = text + (
-        f"Where the two targets were, with the segments found: {count[0]} straight ones of {traces[0].name}, {count[1]} of "
-        f"{traces[1].name}."
+        f"Where the two targets were, with the segments found: straight ones {count[0]} ({traces[0].name}) and {count[1]} "
+        f"({traces[1].name})."
     )
     return Drawing("traces", svg, caption, "Traces of two targets with straight and curved segments")
 
@@ -89,17 +89,17 @@ def errors_figure(
     x = np.insert(np.arange(len(time_s), dtype=float), at, np.nan)
     with style(name):
         figure, ((top,), (low,)) = axes_grid(2, 1, 5.2, top=0.5, gap=(0.6, 0.35))
+        size = 3.0 if len(time_s) < 1500 else 1.5
         for k, (strong, light) in enumerate(((AFTER, AFTER_LIGHT), (BEFORE, BEFORE_LIGHT))):
-            size = 2.2 if len(time_s) < 1500 else 1.2
             top.plot(
                 np.arange(len(time_s)), raw[k] / scale, color=light, marker="o", markersize=size, markeredgewidth=0, linestyle="",
-                alpha=0.55, rasterized=len(time_s) > 1500,
+                alpha=0.75, rasterized=len(time_s) > 1500,
             )  # fmt: skip
             top.plot(x, np.insert(filtered[k], at, np.nan) / scale, color=strong, linewidth=1.5)
         difference, calm = (raw[0] - raw[1]) / scale, (filtered[0] - filtered[1]) / scale
         low.plot(
-            np.arange(len(time_s)), difference, color="#9aa2aa", marker="o", markersize=2.2, markeredgewidth=0, linestyle="",
-            alpha=0.7, rasterized=len(time_s) > 1500,
+            np.arange(len(time_s)), difference, color="#9aa2aa", marker="o", markersize=size, markeredgewidth=0, linestyle="",
+            alpha=0.8, rasterized=len(time_s) > 1500,
         )  # fmt: skip
         low.plot(x, np.insert(calm, at, np.nan), color=INK, linewidth=1.5)
         top.set_ylabel(f"{channel} error ({unit})")
@@ -113,10 +113,14 @@ def errors_figure(
         entries += [(line(BEFORE), "filtered"), (dot("#9aa2aa"), "difference raw"), (line(INK), "filtered")]
         legend(figure, entries)
         svg = to_svg(figure, name)
-    digits = 1 if unit == "m" else 3
+    digits, after = (1, " m") if unit == "m" else (3, "°")
+
+    def say(value: float) -> str:
+        return f"{value:.{digits}f}{after}".replace("-", "−")
+
     caption = text + (
-        f"Difference raw: mean {difference.mean():.{digits}f} {unit}, peak to peak {np.ptp(difference):.{digits}f} {unit}; "
-        f"filtered: {calm.mean():.{digits}f} {unit} and {np.ptp(calm):.{digits}f} {unit}."
+        f"Difference raw: mean {say(difference.mean())}, peak to peak {say(np.ptp(difference))}; "
+        f"filtered: {say(calm.mean())} and {say(np.ptp(calm))}."
     )
     return Drawing(name, svg, caption, f"Errors of {channel} of two targets and their difference, raw and filtered")
 
