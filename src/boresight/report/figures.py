@@ -516,11 +516,13 @@ def target_figure(r: Residuals, name: str, *, targets: Mapping[int, str] | None 
             for values, dark, shift in ((quantity.before, BEFORE, -0.16), (quantity.after, AFTER, 0.16)):
                 low, middle, high = group_quantiles(values, which, n, (0.25, 0.5, 0.75))[0][:, rank]
                 ends += [low, high]
-                axes.vlines(
-                    at + shift, low, high, color=dark, alpha=0.4, linewidth=float(np.clip(90 / n, 0.5, 3.0)), rasterized=n > 600
-                )
+                # One line that breaks at NaN: a thousand lines would be a thousand paths to draw.
                 axes.plot(
-                    at + shift, middle, linestyle="none", marker="s" if dark == AFTER else "o", 
+                    np.repeat(at + shift, 3), np.stack([low, high, np.full(n, np.nan)], axis=1).ravel(), color=dark, alpha=0.4,
+                    linewidth=float(np.clip(90 / n, 0.5, 3.0)), solid_capstyle="butt", rasterized=n > 600,
+                )  # fmt: skip
+                axes.plot(
+                    at + shift, middle, linestyle="none", marker="s" if dark == AFTER else "o",
                     markersize=float(np.clip(120 / n, 1.6, 4.5)), color=dark,
                     markeredgewidth=0, rasterized=n > 600,
                 )  # fmt: skip
