@@ -29,7 +29,7 @@ def study(
     Parameters
     ----------
     name
-        serial-fusion, covariance-conversion, or all.
+        serial-fusion, covariance-conversion, double-target, or all.
     quick
         Fewer draws: under a minute a study.
     out

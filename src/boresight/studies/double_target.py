@@ -362,7 +362,7 @@ _REMARKS = (
     "Its range (5.79 m) is larger than the sd of the original errors (5.55 m): it is not of residuals of the same data.",
     "Table 3 breaks second ≤ first ≤ constant in azimuth: the second-order model holds every column of the first-order one, "
     "and a least-squares fit with more columns never fits worse. The printed (MᵀM)⁻¹ may: its condition number is 10¹² to "
-    "10¹³ on the lake and infinite at the horizon, where sec E is 1 and tan E is 0.",
+    "10¹⁴ on the lake and infinite at the horizon, where sec E is 1 and tan E is 0.",
     "Table 4 and the distances of higher orders in Table 5 depend on the two targets' own noise and paths, and are of the "
     "right size only. Ours differ from order to order in the same direction as the number of columns that fit noise.",
     "Table 5's distance of constants is 2 √N for any data, and its r tells only how many scans there were. All printed r "
@@ -869,6 +869,19 @@ def _random(rows: list[Row], cells: dict[str, FloatArray], settings: Settings) -
                     f"{CHANNELS[c]}, {scene_name}",
                     "the same after filtering",
                     float(after.mean() / both.mean()),
+                )
+            )
+            alike = float(np.mean(found[:, _AT["concordance low"], c] > 0))
+            rows.append(
+                row(
+                    f"shared-{end}",
+                    "Are the errors of both targets correlated?",
+                    f"{CHANNELS[c]}, {scene_name}",
+                    "verdict by the interval of the concordance",
+                    "correlated" if alike > 0.5 else "not shown",
+                    printed="strongly correlated",
+                    note=f"the interval lies above 0 in {100 * alike:.0f} % of the runs; the paper's verdict is Theil's "
+                    f"coefficient, {_mean(found, 'theil constant', c):.3f} here",
                 )
             )
             raw, calm = found[:, _AT["constant of raw"], c], found[:, _AT["constant of filtered"], c]
