@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -267,3 +268,20 @@ def test_errors_that_a_target_keeps_to_itself_widen_the_sd() -> None:
     plain = register_online(samples(z), MAIN)
     assert value(shared, "range_bias", MAIN.key)[1][-1] > 2 * value(plain, "range_bias", MAIN.key)[1][-1]
     assert any("samples of one target share errors" in note for note in shared.sensors[0].notes)
+
+
+def test_the_page_on_relative_registration_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    page = Path(__file__).parents[2] / "docs" / "relative.md"
+    text = page.read_text(encoding="utf-8")
+    names: dict[str, object] = {}
+    for block in re.findall(r"^```python\n(.*?)^```$", text, re.S | re.M):
+        exec(compile(block, page.name, "exec"), names)
+    assert "other (relative to main)" in capsys.readouterr().out
+    found, figure = names["found"], names["figure"]
+    assert isinstance(found, Calibration)
+    got, sd = value(found, "range_bias", 70002)
+    truth = 80 + 60 * np.sin((found.epoch_s - 1.7e9) / 300)
+    assert np.sqrt(np.mean((got - truth)[10:] ** 2)) < 12
+    assert np.median(np.abs(got - truth) / sd) < 1.5
+    assert figure.svg.startswith("<svg")
+    assert all(f"`{name}`" in text for name in METHODS)
