@@ -266,3 +266,21 @@ def test_bad_input_is_a_message() -> None:
     found = register_per_channel(one, made.sensors)
     assert np.isfinite(found.value).all()
     assert np.isfinite(found.sd).all()
+
+
+def test_one_radial_track_cannot_tell_late_stamps_from_range() -> None:
+    t = np.arange(200.0)
+    line = np.array([0.6, 0.79, 0.0]) * 8
+    g = place((800 + t[:, None] * 8) * line / np.linalg.norm(line), np.tile(line, (200, 1)), np.zeros((200, 3)))
+    y = np.random.default_rng(0).normal(size=(200, 3)) * [5, 0.01, np.nan] + [4.0, 0.0, 0.0]
+    found = PerChannel().fit(g, y)
+    assert [c.name for c in found.channels[0].columns] == ["R0"]
+    assert dict(found.channels[0].dropped)["Δt1+Δt2"].startswith("its column varies by")
+    assert "zero everywhere" in dict(found.channels[1].dropped)["Δt1+Δt2+1/Kv"]
+    assert found.channels[0].value[0] == pytest.approx(4.0, abs=2.0)
+
+
+def test_values_beyond_what_is_plausible_are_said() -> None:
+    made = scene(3, {"A": {"tilt_north": 8 * DEG}}, elevation=True, errors=Errors(), targets=8)
+    found = register_per_channel(made.pairs, made.sensors, model="first-order")
+    assert any("tilt_north of +" in note and "parallax" in note for note in found.sensors[0].notes)

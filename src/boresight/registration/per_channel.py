@@ -570,6 +570,15 @@ def _one(pairs: Pairs, rows: IntArray, sensor: Sensor, epoch: float, settings: P
     notes.append("inliers: " + ", ".join(f"{used[f.channel]:,} of {len(seen):,} in {CHANNELS[f.channel]}" for f in fitted.fitted))
     notes.append(f"how it ended: {fitted.ended}")
     notes += _apart(fitted)
+    for t, v in zip(terms, value, strict=True):
+        if abs(v) > 3 * t.prior_sd:
+            parallax = (
+                "; at low elevations tilts fit the parallax of an antenna that stands elsewhere" if "tilt" in t.name else ""
+            )
+            notes.append(
+                f"{t.name} of {v / t.si_per_unit:+.3g} {t.unit} is larger than such errors are: the columns are too much alike "
+                f"to tell it{parallax}"
+            )
     noise = [f.noise_sd if f is not None else float("nan") for f in fitted.channels]
     summary = Summary(
         sensor=sensor.key,
