@@ -351,3 +351,17 @@ def test_sines_in_bulk_are_sines() -> None:
     plane = frames.Polar(np.zeros(3), np.eye(3))
     position, _ = frames.convert(far, np.diag([1.0, 1e-6, 1e-6])[None], plane, frames.Ecef())
     assert position[0] == pytest.approx(measure.enu_from_polar(far)[0], rel=1e-12)
+
+
+def test_plots_without_elevation_are_those_at_elevation_zero() -> None:
+    """The two-dimensional kernel against the three-dimensional rule with an exactly known elevation, anywhere on the Earth."""
+    rng = np.random.default_rng(12)
+    value = np.stack([rng.uniform(0, 3e5, 700), rng.uniform(-7, 7, 700)], axis=1)
+    root = rng.normal(size=(700, 2, 2)) * [[60.0], [2e-3]]
+    spread = root @ np.swapaxes(root, 1, 2)
+    for source in (frames.Polar(np.zeros(3), np.eye(3)), FRAMES["polar1"]):
+        found = frames.convert(value, spread, source, frames.Ecef())
+        full = np.concatenate([value, np.zeros((700, 1))], axis=1), np.pad(spread, ((0, 0), (0, 1), (0, 1)))
+        expected = frames.convert(*full, source, frames.Ecef())
+        assert found[0] == pytest.approx(expected[0][:, :2], abs=1e-8)
+        assert found[1] == pytest.approx(expected[1][:, :2, :2], rel=1e-9, abs=1e-9)

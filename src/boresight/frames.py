@@ -381,6 +381,11 @@ def convert(
             where="convert",
             remedy="Give (n, 3) and (n, 3, 3), or (n, 2) and (n, 2, 2).",
         )
+    flat = d == 2 and isinstance(method, Linear) and isinstance(target, Ecef)
+    if flat and isinstance(source, Polar) and np.shape(source.site) == (3,):
+        covariance = np.ascontiguousarray(covariance)
+        _check_covariance(covariance)
+        return _plane_to_ecef(np.ascontiguousarray(value), covariance, source)
     if d == 2:
         value = np.concatenate([value, np.zeros((n, 1))], axis=1)
         covariance = np.pad(covariance, ((0, 0), (0, 1), (0, 1)))
@@ -406,9 +411,9 @@ def _check_covariance(covariance: FloatArray) -> None:
 
 @kernel
 def _first_fault(covariance: FloatArray) -> tuple[int, int]:
-    """The first row of (n, 3, 3) that is no covariance, and which of `_FAULTS` it has; (-1, 0) for none."""
+    """The first row of (n, d, d) that is no covariance, and which of `_FAULTS` it has; (-1, 0) for none."""
     for k in range(covariance.shape[0]):
-        for i in range(3):
+        for i in range(covariance.shape[1]):
             if covariance[k, i, i] < 0:
                 return k, 0
             for j in range(i):
@@ -418,7 +423,7 @@ def _first_fault(covariance: FloatArray) -> tuple[int, int]:
                     return k, 1
                 if one * one > (1 + 1e-9) * square:
                     return k, 2
-        for i in range(3):
+        for i in range(covariance.shape[1]):
             if np.isinf(covariance[k, i, i]):
                 return k, 3
     return -1, 0
@@ -609,4 +614,47 @@ def _polar_to_ecef(value: FloatArray, covariance: FloatArray, source: Polar) -> 
         _linear_rows(v[part], p[part], site, rotation, out[part], spread[part])
 
     in_threads(piece, slices(len(v), _CHUNK))
+    return out, spread
+
+
+@kernel
+def _plane_rows(
+    value: FloatArray, covariance: FloatArray, site: FloatArray, rotation: FloatArray, out: FloatArray, spread: FloatArray
+) -> None:
+    """As `_linear_rows` for range and azimuth (n, 2) at elevation 0: the first two of the Earth-centred axes."""
+    sine, cosine, angle = np.empty(_BLOCK), np.empty(_BLOCK), np.zeros(_BLOCK)
+    r00, r01, r10, r11 = rotation[0, 0], rotation[0, 1], rotation[1, 0], rotation[1, 1]
+    for begin in range(0, value.shape[0], _BLOCK):
+        count = min(_BLOCK, value.shape[0] - begin)
+        far = False
+        for h in range(count):
+            angle[h] = value[begin + h, 1]
+            far |= abs(angle[h]) > _FAR_RAD
+        if far:
+            for h in range(_BLOCK):
+                sine[h], cosine[h] = np.sin(angle[h]), np.cos(angle[h])
+        else:
+            _sines(angle, sine, cosine)
+        for h in range(count):
+            k = begin + h
+            r, s, c = value[k, 0], sine[h], cosine[h]
+            j00, j10 = s * r00 + c * r10, s * r01 + c * r11
+            j01, j11 = r * (c * r00 - s * r10), r * (c * r01 - s * r11)
+            p00, p01, p11 = covariance[k, 0, 0], covariance[k, 0, 1], covariance[k, 1, 1]
+            m00, m01, m10, m11 = j00 * p00 + j01 * p01, j00 * p01 + j01 * p11, j10 * p00 + j11 * p01, j10 * p01 + j11 * p11
+            out[k, 0], out[k, 1] = site[0] + r * j00, site[1] + r * j10
+            cross = m00 * j10 + m01 * j11
+            spread[k, 0, 0], spread[k, 0, 1] = m00 * j00 + m01 * j01, cross
+            spread[k, 1, 0], spread[k, 1, 1] = cross, m10 * j10 + m11 * j11
+
+
+def _plane_to_ecef(value: FloatArray, covariance: FloatArray, source: Polar) -> tuple[FloatArray, FloatArray]:
+    """`Linear` of range and azimuth (n, 2) to the first two of the Earth-centred axes."""
+    site, rotation = np.ascontiguousarray(source.site, np.float64), np.ascontiguousarray(source.rotation, np.float64)
+    out, spread = np.empty((len(value), 2)), np.empty((len(value), 2, 2))
+
+    def piece(part: slice) -> None:
+        _plane_rows(value[part], covariance[part], site, rotation, out[part], spread[part])
+
+    in_threads(piece, slices(len(value), _CHUNK))
     return out, spread

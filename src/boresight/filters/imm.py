@@ -18,7 +18,7 @@ from .._parallel import in_threads, slices
 from .._types import FloatArray
 from ..errors import SettingsError
 from .kalman import check, measured, predict, update
-from .motion import NOISE, NOISE_UP, PARAMETER, CoordinatedTurn, Motion, fill, size, table, vertical
+from .motion import NOISE, NOISE_UP, PARAMETER, SAME_S, CoordinatedTurn, Motion, fill, size, table, vertical
 
 _ROWS = 16
 
@@ -339,7 +339,7 @@ def _run(
         for step in range(first, z.shape[1]):
             if step > first:
                 dt = time_s[step] - time_s[step - 1]
-                if dt != last:
+                if abs(dt - last) > SAME_S:
                     if given_change.shape[0] > 0:
                         for i in range(count):
                             for j in range(count):
@@ -351,7 +351,7 @@ def _run(
                     for i in range(3):
                         ahead[0, i] = one[i]
                     vertical(ahead, 0, up)
-                if k == 3 or dt != last or centre != filled_for:
+                if k == 3 or abs(dt - last) > SAME_S or centre != filled_for:
                     for m in range(group):
                         for h in range(4):
                             current[m, h] = fan[centre - half + m, h]

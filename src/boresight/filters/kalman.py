@@ -15,7 +15,7 @@ from .._jit import inlined, kernel
 from .._parallel import in_threads, slices
 from .._types import FloatArray
 from ..errors import SettingsError
-from .motion import Motion, fill, size, table, vertical
+from .motion import SAME_S, Motion, fill, size, table, vertical
 
 _ROWS = 64
 
@@ -186,7 +186,7 @@ def _run(
                 dt = time_s[step] - time_s[step - 1]
                 if k == 3:
                     vertical(x, 0, up)
-                if k == 3 or dt != last:
+                if k == 3 or abs(dt - last) > SAME_S:
                     fill(models, 0, dt, up, transition, noise, like, axes)
                     last = dt
                 predict(x, p, 0, transition, noise, like, work, ahead, spread)
@@ -270,19 +270,32 @@ def check(
     back = np.flatnonzero(np.diff(time_s) < 0)
     if len(back):
         raise refuse(f"time goes backwards at measurement {int(back[0]) + 1}", "Sort the measurements by time.")
-    given = np.isfinite(z).all(axis=2)
-    diagonal = np.diagonal(r, axis1=2, axis2=3)
-    bad = given & ~((diagonal > 0).all(axis=2) & np.isfinite(r).all(axis=(2, 3)))
-    bad |= given & (np.abs(r - np.swapaxes(r, 2, 3)) > 1e-9 * np.sqrt(np.abs(diagonal[..., None] * diagonal[..., None, :]))).any(
-        axis=(2, 3)
-    )
-    if bad.any():
-        row, step = (int(v[0]) for v in np.nonzero(bad))
+    row, step = _first_fault(z, r)
+    if row >= 0:
         raise refuse(
             f"the covariance of measurement {step} of target {row} is not symmetric with positive variances",
             "Give the measurement's covariance in the filter's axes, metres squared.",
         )
     return z, r, time_s, x, p
+
+
+@kernel
+def _first_fault(z: FloatArray, r: FloatArray) -> tuple[int, int]:
+    """The first row and step whose position is given and whose covariance is none; (-1, -1) if all are."""
+    k = z.shape[2]
+    for row in range(z.shape[0]):
+        for step in range(z.shape[1]):
+            given, good = True, True
+            for i in range(k):
+                given = given and np.isfinite(z[row, step, i])
+                good = good and r[row, step, i, i] > 0 and np.isfinite(r[row, step, i, i])
+                for j in range(i):
+                    one, other = r[row, step, i, j], r[row, step, j, i]
+                    size = r[row, step, i, i] * r[row, step, j, j]
+                    good = good and (one == other or (one - other) ** 2 <= 1e-18 * size) and np.isfinite(one)
+            if given and not good:
+                return row, step
+    return -1, -1
 
 
 # ------------------------------------------------------------------------------------------------------------------- the start

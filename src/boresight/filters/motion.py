@@ -23,6 +23,8 @@ VELOCITY, TURN, ACCELERATION, SINGER = 0.0, 1.0, 2.0, 3.0
 KIND, PARAMETER, NOISE, NOISE_UP = 0, 1, 2, 3
 # Mean radius of the Earth: it only says which way is up some hundred kilometres from the anchor.
 _EARTH_M = 6371e3
+SAME_S = 1e-9
+"""Steps of time that differ by less, as sums of one step do, are one step: it is below the resolution of a time of day."""
 
 
 class ConstantVelocity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag="constant-velocity"):
