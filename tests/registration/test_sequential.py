@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import re
 from pathlib import Path
 
@@ -10,10 +11,11 @@ import pytest
 from synthetic import DEG, EPOCH, scene
 from test_mean_shift import BIAS, FAR, MAIN, NEAR, THREE, recording
 
+from boresight import flow
 from boresight.calibration import Calibration, load_calibration, save_calibration, summary_json
 from boresight.correction import correct
 from boresight.errors import NothingToDo, SettingsError
-from boresight.model import Sensor, Sensors
+from boresight.model import Sensor, Sensors, load_sensors
 from boresight.registration import register
 from boresight.registration.mean_shift import Samples, relative_samples
 from boresight.registration.sequential import METHODS, KalmanBank, online_samples, register_online, register_relative
@@ -205,7 +207,7 @@ def test_pairs_give_samples_and_the_other_terms_stay() -> None:
         wrong = (got - truth["A"][name]) / sd
         # Targets' own delays are not white: sd that took every plot for itself would be several times too small.
         assert np.median(np.abs(wrong)) < 1.5
-        assert np.percentile(np.abs(wrong), 95) < 3
+        assert np.percentile(np.abs(wrong), 95) < 4
     # Without them the time offset spoils the samples.
     raw = online_samples(s.pairs, s.sensors)[sensor.key]
     assert np.std(raw.value[:, 0]) > 1.5 * np.std(mine.value[:, 0])
@@ -285,3 +287,30 @@ def test_the_page_on_relative_registration_runs(capsys: pytest.CaptureFixture[st
     assert np.median(np.abs(got - truth) / sd) < 1.5
     assert figure.svg.startswith("<svg")
     assert all(f"`{name}`" in text for name in METHODS)
+
+
+@pytest.mark.real
+def test_the_bias_of_a_surface_radar_stays_over_two_hours(data: Path, tmp_path: Path) -> None:
+    """Barcelona 2016 against multilateration: what is followed agrees with the static fit, through gaps without traffic."""
+    (tmp_path / "sensors.toml").write_text(
+        '[[sensor]]\nname = "SMR"\nsac = 0\nsic = 7\nlat_deg = 41.29561833\nlon_deg = 2.095114167\nheight_m = 85.0\nkind = "surface"\n'
+        '[[sensor]]\nname = "MLAT"\nsac = 0\nsic = 107\nlat_deg = 41.297079\nlon_deg = 2.078463\nheight_m = 51.0\nkind = "mlat"\n'
+    )
+    sensors = load_sensors(tmp_path / "sensors.toml")
+    folder = data / "lebl-2016"
+    run = flow.calibrate(
+        [folder / "smr_cat010_160510-lebl-220001.ast"],
+        [folder / "mlat_cat020_160510-lebl-220001.ast"],
+        sensors,
+        date=datetime.date(2016, 5, 10),
+        criterion="none",
+    )
+    mine = online_samples(run.association.pairs, sensors, beside=run.calibration)[7]
+    found = register_online(mine, sensors.sensor[0], beside=run.calibration)
+    for term, most in (("range_bias", 4.0), ("azimuth_bias", 0.1 * DEG)):
+        got, sd = value(found, term, 7)
+        (static,), _ = value(run.calibration, term, 7)
+        late = found.epoch_s > found.epoch_s[0] + 600
+        assert np.median(sd[late]) < most
+        assert np.percentile(np.abs(got[late] - static) / sd[late], 95) < 4
+    assert {"time_offset", "along_heading_per_length"} <= {k.name for k in found.terms}

@@ -39,6 +39,8 @@ _LEAST = 5
 _AGREE = 0.5
 _INLIER_SD = 3.0
 _GROSS_SD = 8.0
+# A member of the bank remembers at least so many samples that are worth something of their own.
+_TELLING = 15.0
 _EPOCHS = 400
 _BLOCK_S = 300.0
 # Below this condition number the absolute biases of both radars show in their differences.
@@ -88,6 +90,15 @@ class KalmanBank(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
         return joined(in_threads(part, slices(len(z), 8)))
 
+    def no_faster(self, memory_s: float) -> KalmanBank:
+        """The bank with no member that remembers less than so many seconds."""
+        low, high = self.memory_s
+        if memory_s <= low:
+            return self
+        return msgspec.structs.replace(
+            self, memory_s=(memory_s, max(high, 8 * memory_s)), judged_s=max(self.judged_s, 6 * memory_s)
+        )
+
 
 METHODS: dict[str, Online] = {
     "kalman-bank": KalmanBank(),
@@ -99,13 +110,20 @@ METHODS: dict[str, Online] = {
 
 
 def _density(time_s: FloatArray, value: FloatArray, variance: FloatArray) -> float:
-    """The samples' variance times their spacing, gaps aside."""
+    """The samples' variance times their spacing."""
     known = np.isfinite(value)
-    step = np.diff(time_s[known])
-    if not len(step) or not (step > 0).any():
-        return float(variance[known].max()) if known.any() else 1.0
+    if not known.any():
+        return 1.0
+    return float(np.median(variance[known])) * (_spacing(time_s[known]) or 1.0)
+
+
+def _spacing(time_s: FloatArray) -> float:
+    """The mean time from one sample to the next (s), gaps aside; 0 where all are at one time."""
+    step = np.diff(time_s)
+    if not (step > 0).any():
+        return 0.0
     usual = 10 * float(np.median(step[step > 0]))
-    return float(np.median(variance[known]) * np.minimum(step, usual).sum() / len(step))
+    return float(np.minimum(step, usual).sum() / len(step))
 
 
 @kernel
@@ -455,6 +473,9 @@ def _follow(
             notes.append(f"{BIASES[c]}: samples scatter by {value:.3g} {unit}, {wider[c]:.1f} times what their sd say")
     r = np.maximum(variance * wider**2, _FLOOR**2)
     shared = _sharing(mine, z, r)
+    if isinstance(method, KalmanBank):
+        # Who remembers a dozen samples' worth follows their noise, and through a gap nothing at all.
+        method = method.no_faster(_TELLING * float(shared.max()) * _spacing(mine.time_s))
     used = z.T[known]
     if (shared > 1.0).any():
         # What is an outlier is a matter of a sample's own noise, how much it tells of all that it shares.
