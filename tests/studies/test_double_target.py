@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from boresight.studies import Settings, Study, run_study, study_json, write_study
@@ -51,7 +52,8 @@ def test_the_scene_holds_as_many_scans_as_the_papers_distance_tells() -> None:
 
 
 def test_page_and_json(study: Study, tmp_path: Path) -> None:
-    out = json.loads(json.dumps(study_json(study), allow_nan=False))
+    out = json.loads(msgspec.json.encode(study_json(study)))
+    assert out == json.loads(json.dumps(study_json(study), allow_nan=False))
     assert out["study"] == "double-target"
     page = write_study(study, tmp_path / "study.html").read_text()
     assert page.count("<figure") == len(study.figures) == 5

@@ -68,7 +68,8 @@ def row(
     note: str = "",
 ) -> Row:
     """A row; with `low` or `high` it is bounded, and says whether ours holds."""
-    bound = None if low is None and high is None else Bound(low, high)
+    ends = [None if end is None else float(end) for end in (low, high)]
+    bound = None if low is None and high is None else Bound(*ends)
     holds = None
     if bound is not None:
         holds = isinstance(ours, int | float) and bound.holds(float(ours))
