@@ -293,7 +293,8 @@ def test_the_page_on_relative_registration_runs(capsys: pytest.CaptureFixture[st
 def test_the_bias_of_a_surface_radar_stays_over_two_hours(data: Path, tmp_path: Path) -> None:
     """Barcelona 2016 against multilateration: what is followed agrees with the static fit, through gaps without traffic."""
     (tmp_path / "sensors.toml").write_text(
-        '[[sensor]]\nname = "SMR"\nsac = 0\nsic = 7\nlat_deg = 41.29561833\nlon_deg = 2.095114167\nheight_m = 85.0\nkind = "surface"\n'
+        '[[sensor]]\nname = "SMR"\nsac = 0\nsic = 7\nlat_deg = 41.29561833\nlon_deg = 2.095114167\nheight_m = 85.0\n'
+        'kind = "surface"\n'
         '[[sensor]]\nname = "MLAT"\nsac = 0\nsic = 107\nlat_deg = 41.297079\nlon_deg = 2.078463\nheight_m = 51.0\nkind = "mlat"\n'
     )
     sensors = load_sensors(tmp_path / "sensors.toml")
