@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from barcelona import SENSORS
 from boresight import flow
 from boresight.calibration import load_calibration, save_calibration
 from boresight.cli import main
@@ -256,28 +257,6 @@ def test_fixed_offsets_of_sensors_toml_are_out_of_the_stamps_and_said(scene: Sce
     assert np.allclose(plain - moved, 1.5)
     again = scene.calibrate(out)
     assert any("is out of its stamps already" in w for w in again.calibration.warnings)
-
-
-SENSORS = """
-[[sensor]]
-name = "SMR"
-sac = 0
-sic = 7
-lat_deg = 41.29561833
-lon_deg = 2.095114167
-height_m = 85.0
-kind = "surface"
-scan_s = 1.0
-
-[[sensor]]
-name = "MLAT"
-sac = 0
-sic = 107
-lat_deg = 41.297079
-lon_deg = 2.078463
-height_m = 51.0
-kind = "mlat"
-"""
 
 
 @pytest.mark.real
