@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from boresight import filters
 from boresight.cli import app
+from boresight.filters import serial
 from boresight.model import KINDS, Sensor
 from boresight.reading import uap
 from boresight.simulation import write_demo
@@ -144,6 +146,18 @@ def test_the_code_on_the_page_of_terms_runs(capsys: pytest.CaptureFixture[str]) 
     for block in blocks(ROOT / "docs" / "terms.md"):
         exec(compile(block, "terms.md", "exec"), names)
     assert "rotation_up" in capsys.readouterr().out
+
+
+def test_the_page_on_filters_runs_and_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
+    page = ROOT / "docs" / "filters.md"
+    names: dict[str, object] = {}
+    for block in blocks(page):
+        exec(compile(block, "filters.md", "exec"), names)
+    assert "off by" in capsys.readouterr().out
+    off = names["found"].mean[0, -1, :3] - names["truth"][-1]
+    assert abs(off).max() < 150.0
+    listed = {name for row in rows(page.read_text(encoding="utf-8")) for cell in row for name in code(cell)}
+    assert listed <= {*filters.__all__, *dir(serial)}
 
 
 def test_every_key_and_kind_of_sensors_toml_is_described() -> None:

@@ -42,15 +42,16 @@ class ExpectedMode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     `rates_deg_s` are in order; the group is the `group` (odd) rates about its centre.  Where the model that is both the likeliest
     and the most probable stands on the group's boundary, it becomes the centre.  `expected` = false leaves the expected mode
-    out: then this is a switching grid.
+    out: then this is a switching grid.  The defaults were tuned on simulated airliners (benchmarks, `ema_imm`); boats that keep
+    turning to and fro want `noise` near 0.01, and a group as large as the fan where they turn quickly.
     """
 
     rates_deg_s: tuple[float, ...] = (-6.0, -4.5, -3.0, -1.5, 0.0, 1.5, 3.0, 4.5, 6.0)
-    group: int = 5
-    noise: float = 1.0
+    group: int = 7
+    noise: float = 0.5
     noise_up: float | None = None
     expected: bool = True
-    stay: float = 0.95
+    stay: float = 0.9
     stay_s: float = 4.0
 
 
