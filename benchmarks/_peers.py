@@ -84,7 +84,7 @@ def tell(name: str, unit: str, ours: Rate, others: dict[str, Rate | str], first_
         print(json.dumps({"name": name, "ours": ours.wall, "unit": unit, "peers": rates, "ratio": ratio}))
         return
     print(f"{name}: {note}\n")
-    print(f"| | {unit} | ours / theirs | {unit} of processor time | ours / theirs | RMSE m |\n|---|---|---|---|---|---|")
+    print(f"| | {unit} | ours / theirs | {unit} of processor time | ours / theirs | accuracy |\n|---|---|---|---|---|---|")
     print(f"| boresight | {ours.wall:,.0f} | | {ours.processor:,.0f} | | {ours.accuracy:.3f} |")
     for key, value in there.items():
         print(
