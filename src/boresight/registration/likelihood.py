@@ -70,11 +70,11 @@ class MaximumLikelihood(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         # A start that gross errors do not move.
         bias = np.median(d[used], axis=0)
         scale = np.maximum(_NORMAL_SD_PER_MAD * np.median(np.abs(d[used] - bias), axis=0), 1e-12)
-        noise, inside, ended, steps = np.diag(scale**2), used, "iteration limit", 0
+        noise, inside, ended, steps = np.diag(scale**2), np.asarray(used), "iteration limit", 0
         while steps < self.max_iterations:
             steps += 1
             far = _distance(d - bias, noise + known)
-            inside = used & (far <= self.gate_sd**2)
+            inside = np.asarray(used & (far <= self.gate_sd**2))
             weight = np.linalg.inv(noise + known[inside])
             information = weight.sum(axis=0)
             new = np.linalg.solve(information, np.einsum("nij,nj->i", weight, d[inside]))
@@ -100,9 +100,7 @@ class MaximumLikelihood(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             covariance = bread @ (score.T @ score) @ bread * groups / (groups - 1)
         _, log_size = np.linalg.slogdet(2 * np.pi * spread)
         likelihood = -0.5 * float((np.einsum("ni,nij,nj->n", off, weight, off) + log_size).sum())
-        return PolarBias(
-            _wide(bias, axes), _wide(covariance, axes), _wide(noise, axes), inside, likelihood, steps, ended
-        )  # fmt: skip
+        return PolarBias(_wide(bias, axes), _wide(covariance, axes), _wide(noise, axes), inside, likelihood, steps, ended)
 
 
 def _distance(off: FloatArray, spread: FloatArray) -> FloatArray:
@@ -147,8 +145,8 @@ class Transforms:
 class KalmanTransform(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag="kalman-transform"):
     """A transform matrix from the surrounding traffic's offsets, followed in real time.
 
-    A Kalman filter in its information form over the twelve entries of H, each `prior_sd_m` at first; what is older than `memory_s`
-    fades, so that H follows errors that change.  Plots have errors of `sd_m` an axis, those further than `gate_sd` from what H
+    A Kalman filter in its information form over the twelve entries of H, each `prior_sd_m` at first; what is older than
+    `memory_s` fades, so that H follows errors that change.  Plots have errors of `sd_m` an axis, those further than `gate_sd` from what H
     says take no part, and `slot_s` seconds of them are taken in at once.
     """
 
@@ -163,7 +161,7 @@ class KalmanTransform(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         for name in ("memory_s", "sd_m", "prior_sd_m", "gate_sd", "slot_s"):
             if not getattr(self, name) > 0:
                 raise SettingsError(
-                    f"{name} = {getattr(self, name)} is not positive", where="kalman-transform", remedy="Give more."
+                    f"{name} = {getattr(self, name)} is not positive", where="kalman-transform", remedy="Raise it."
                 )
         finite = np.isfinite(clouds.measured).all(axis=1) & np.isfinite(clouds.reference).all(axis=1) & np.isfinite(time_s)
         rows = np.flatnonzero(finite)
