@@ -85,7 +85,7 @@ def _nearest(d: FloatArray, medoid: IntArray) -> tuple[IntArray, FloatArray, Flo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Traces:
-    """Points of tracks: positions (n, 3) in any Cartesian axes and heights (n,), metres, times (n,), numbers of their tracks (n,).
+    """Points of tracks: positions (n, 3), any Cartesian axes, and heights (n,), metres, times (n,), numbers of their tracks (n,).
 
     A height that is NaN passes every screen.
     """

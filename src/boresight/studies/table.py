@@ -21,6 +21,7 @@ _MODULES = {
     "covariance-conversion": "covariance_conversion",
     "double-target": "double_target",
     "mean-shift": "mean_shift",
+    "adsb-registration": "adsb_registration",
 }
 
 

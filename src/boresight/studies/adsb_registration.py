@@ -1,0 +1,604 @@
+"""Paper 001: a primary radar registered on ADS-B traffic, in four scenes, by the paper's method, its rivals and ours.
+
+Ninety airliners within 100 km train each method, ninety others at the same time test it.  METHODS section 4.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import frames
+from .._types import FloatArray
+from ..calibration import Calibration
+from ..compute import Result
+from ..correction import correct
+from ..filters import (
+    AlphaBeta,
+    ConstantVelocity,
+    ExpectedMode,
+    alpha_beta_filter,
+    imm_filter,
+    kalman_filter,
+    matrices,
+    one_point,
+    smooth_models,
+)
+from ..geodesy import ecef_from_geodetic, rotate, rotate_back
+from ..measure import enu_from_polar, polar_from_enu, site_of, wrap_rad
+from ..model import Pairs, Plots, Sensor, Sensors
+from ..registration import register
+from ..registration.likelihood import KalmanTransform, MaximumLikelihood
+from ..registration.rigid import Clouds, Genetic, Rigid, joint_fit
+from ..report.drawing import AFTER, AFTER_LIGHT, BEFORE, BEFORE_LIGHT, INK, QUIET, Drawing, axes_grid, band, legend, style, to_svg
+from .table import Row, Settings, Study, row
+
+DEG = np.pi / 180
+PAPER = "Zhang & Huang 2024, Error registration for primary radar based on ADS-B data (paper 001)"
+RADAR = Sensor(name="radar", sac=1, sic=1, lat_deg=31.0, lon_deg=121.0, height_m=50.0)
+SENSORS = Sensors((RADAR,))
+SITE, ROTATION = site_of(RADAR)
+TRACKS, SCANS, SCAN_S = 90, 90, 4.0
+# Nearer ones would make the raw angles larger than those that METHODS states.
+NEAR_M, FAR_M = 20e3, 100e3
+_EARTH_M = 6371e3
+_EPOCH_S = 1.7e9
+TIME_S = SCAN_S * np.arange(SCANS, dtype=np.float64)
+OFFSET_M = np.array([200.0, 200.0, 400.0])
+LATE_S = 0.3
+SCENES = ("scene 1", "scene 2", "white", "time")
+METHODS = ("raw", "paper's method", "maximum likelihood [6]", "transform matrix [7]", "alpha-beta", "NLS online", "NLS offline")
+QUANTITIES = (("range", "m"), ("elevation", "°"), ("azimuth", "°"))
+# One model for all four scenes: what a scene does not have must come out as nothing.
+MODEL = (
+    "range_bias", "azimuth_bias", "elevation_bias", "tilt_north", "tilt_east", "site_east", "site_north", "site_up",
+    "time_offset",
+)  # fmt: skip
+# METHODS section 4: mean absolute errors that must be kept, in range m, elevation °, azimuth °.
+LIMITS = {
+    "NLS online": {
+        "scene 1": (30.0, 0.032, 0.035),
+        "scene 2": (45.0, 0.055, 0.048),
+        "white": (34.0, 0.085, 0.045),
+        "time": (18.0, 0.085, 0.045),
+    },
+    "NLS offline": {
+        "scene 1": (14.0, 0.010, 0.018),
+        "scene 2": (21.0, 0.018, 0.025),
+        "white": (17.0, 0.032, 0.025),
+        "time": (8.0, 0.032, 0.023),
+    },
+}
+# The paper's table 1, of a real radar whose raw errors are those of the scene "white"; and seconds per 100 tracks.
+PRINTED: dict[str, tuple[float, float, float]] = {
+    "raw": (51.56, 0.24, 0.18),
+    "paper's method": (52.81, 0.04, 0.07),
+    "maximum likelihood [6]": (55.26, 0.19, 0.07),
+    "transform matrix [7]": (58.44, 0.09, 0.07),
+    "alpha-beta": (53.69, 0.18, 0.13),
+}
+PRINTED_S = {"transform matrix [7]": 2.23, "maximum likelihood [6]": 0.22, "alpha-beta": 0.04, "paper's method": 2.07}
+# Airliners fly straight, climb steadily, and turn by up to a degree and a half a second.
+FILTER = ExpectedMode(rates_deg_s=(-3.0, -1.5, 0.0, 1.5, 3.0), group=3, noise=0.03, noise_up=1e-3, stay=0.99)
+_SPEED_SD, _CLIMB_SD = 200.0, 10.0
+
+
+def run(settings: Settings) -> Study:
+    """Table 1 and the four scenes of the paper's section 3."""
+    rows: list[Row] = []
+    runs, fits = (1, 4) if settings.quick else (6, 32)
+    table: dict[str, FloatArray] = {}
+    seconds: FloatArray = np.zeros((0, len(METHODS)))
+    for scene in SCENES:
+        error, ratio, cost = settings.runs(Trial(scene), runs, f"{scene}, all methods", chunk=1)
+        table[scene] = error.mean(axis=0)
+        seconds = np.concatenate([seconds, cost])
+        _errors(scene, table[scene], rows)
+        rows.append(
+            row(
+                f"genetic-{scene}".replace(" ", "-"),
+                "Genetic algorithm",
+                scene,
+                "rms over that of the joint rigid fit, largest",
+                float(ratio.max()),
+                high=1.02,
+                note="Kept as a method, never as the default: it finds what one least-squares fit does.",
+            )
+        )
+        off, covariance, kept = settings.runs(Fits(scene), fits, f"{scene}, our estimates", chunk=2)
+        _estimates(scene, off, covariance, kept, settings.quick, rows)
+    _compare(table, rows)
+    _table_1(table["white"], seconds.mean(axis=0), rows)
+    _bias_in_prediction(settings, rows)
+    _limits(rows)
+    return Study(
+        name="adsb-registration",
+        title="A primary radar registered on ADS-B traffic",
+        paper=PAPER,
+        summary=(
+            "Least squares of named terms in measurement space, with the same filter behind it, is at least as good as the "
+            "paper's rigid transform where the errors are a rigid transform, and better where they are the radar's own: a "
+            "rigid transform cannot represent a polar bias, and knows no time.",
+            "The genetic algorithm over the tracks' transforms finds what one joint rigid fit finds.",
+            "The bias in every prediction (eq. 7) corrects nothing: the filter's velocity absorbs it.",
+        ),
+        rows=tuple(rows),
+        figures=(_figure(table),),
+        remarks=(
+            "Table 1 of the paper is of a real radar; the scene “white” has its raw errors, and so stands beside it.",
+            "The columns of Table 1 are range, elevation and azimuth; “Gaussian noise of mean 50 m” is noise of that sd; eq. 7's "
+            "bias is applied to the measurement once.",
+            "The scene “time” is to have raw errors of 40 m in range: with 64 m of noise and 0.3 s they are 61 m, so its noise "
+            "is 30 m here; angles as in “white”.",
+            "Offsets of hundreds of metres are not linear in polar coordinates at short range: ours is fitted a second time "
+            "about the antenna's position found first.",
+            "The equations of [6] and [7] are not in the paper: ours are the plain readings of what it says of them.",
+        ),
+    )
+
+
+# ------------------------------------------------------------------------------------------------------------------ the scenes
+@dataclass(frozen=True)
+class Traffic:
+    """Airliners (n,): straight, a third with one turn, a third climbing or descending; positions of any times."""
+
+    start: FloatArray
+    course: FloatArray
+    speed: FloatArray
+    turn: FloatArray
+    begin: FloatArray
+    lasts: FloatArray
+    height: FloatArray
+    climb: FloatArray
+
+    def ecef(self, time_s: FloatArray) -> FloatArray:
+        """Positions (n, K, 3) at times (n, K)."""
+        course, speed, turn = self.course[:, None], self.speed[:, None], self.turn[:, None]
+        begin, end = self.begin[:, None], (self.begin + self.lasts)[:, None]
+        turning = np.clip(time_s, begin, end) - begin
+        way = _arc(course, speed, 0.0 * turn, np.minimum(time_s, begin)) + _arc(course, speed, turn, turning)
+        way += _arc(course + turn * turning, speed, 0.0 * turn, np.maximum(time_s - end, 0.0))
+        east, north = np.moveaxis(way + self.start[:, None], -1, 0)
+        latitude = np.radians(RADAR.lat_deg or 0.0) + north / _EARTH_M
+        longitude = np.radians(RADAR.lon_deg or 0.0) + east / _EARTH_M / np.cos(latitude)
+        return ecef_from_geodetic(latitude, longitude, self.height[:, None] + self.climb[:, None] * time_s)
+
+    def enu(self, time_s: FloatArray) -> FloatArray:
+        """Positions (n, K, 3) at times (n, K), east, north, up about the radar."""
+        return rotate(ROTATION, self.ecef(time_s) - SITE)
+
+
+def _arc(course: FloatArray, speed: FloatArray, turn: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Way (..., 2), east and north, from a course at a turn rate: the chord of the arc."""
+    half = turn * time_s / 2
+    chord = speed * time_s * np.sinc(half / np.pi)
+    return np.stack([chord * np.sin(course + half), chord * np.cos(course + half)], axis=-1)
+
+
+def draw(rng: np.random.Generator, tracks: int = TRACKS) -> Traffic:
+    """Traffic that stays between 20 and 100 km of the radar, spread evenly over that area."""
+    n, lasts = tracks * 16, SCAN_S * SCANS
+    far, bearing = FAR_M * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
+    course, speed = rng.uniform(0, 2 * np.pi, n), rng.uniform(190, 250, n)
+    turn = np.where(rng.random(n) < 1 / 3, rng.uniform(0.5, 1.5, n) * rng.choice((-1.0, 1.0), n) * DEG, 0.0)
+    climb = np.where(rng.random(n) < 1 / 3, rng.uniform(-8, 8, n), 0.0)
+    middle = np.stack([far * np.sin(bearing), far * np.cos(bearing)], axis=1)
+    half = np.full(n, lasts / 2)
+    every = Traffic(
+        start=middle - _arc(course, speed, np.zeros(n), half), course=course, speed=speed, turn=turn,
+        begin=rng.uniform(0.2, 0.6, n) * lasts, lasts=rng.uniform(20, 60, n), height=rng.uniform(6e3, 11e3, n) - climb * half,
+        climb=climb,
+    )  # fmt: skip
+    distance = np.linalg.norm(every.enu(np.broadcast_to(TIME_S, (n, SCANS))), axis=2)
+    inside = np.flatnonzero((distance.max(axis=1) < FAR_M) & (distance.min(axis=1) > NEAR_M))[:tracks]
+    return Traffic(*(getattr(every, name)[inside] for name in Traffic.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
+class Errors:
+    """A scene's errors: shift (3,) m and rotation vector (3,) rad of the picture, polar bias (3,), lateness, and the noise's sd,
+    in metres east, north, up or polar."""
+
+    shift_m: FloatArray
+    turn_rad: FloatArray
+    polar: FloatArray
+    late_s: float
+    sd: FloatArray
+    cartesian: bool
+
+    def measure(self, rng: np.random.Generator, traffic: Traffic) -> FloatArray:
+        """Polar plots (n, K, 3) stamped at `TIME_S`."""
+        truth = traffic.enu(np.broadcast_to(TIME_S - self.late_s, (len(traffic.course), SCANS)))
+        noise = rng.normal(size=truth.shape) * self.sd
+        if not self.cartesian:
+            return polar_from_enu(truth) + self.polar + noise
+        turned = truth @ rotation_of(self.turn_rad).T
+        return polar_from_enu(turned + self.shift_m + noise)
+
+    def covariance(self, plots: FloatArray) -> FloatArray:
+        """Covariances (n, K, 3, 3), east, north, up, of polar plots (n, K, 3)."""
+        if self.cartesian:
+            return np.tile(np.diag(self.sd**2), (*plots.shape[:2], 1, 1))
+        flat = plots.reshape(-1, 3)
+        spread = np.broadcast_to(np.diag(self.sd**2), (len(flat), 3, 3))
+        _, out = frames.convert(flat, spread, frames.Polar(np.zeros(3), np.eye(3)), frames.Ecef())
+        return np.asarray(out.reshape(*plots.shape[:2], 3, 3))
+
+    def truth(self) -> FloatArray:
+        """The values of `MODEL`, SI.  A turn about the vertical is an azimuth bias, one about the others is tilt."""
+        range_m, azimuth, elevation = self.polar
+        east, north, up = self.turn_rad
+        # The picture is shifted after it was turned; the antenna's displacement is of what is turned.
+        site = -rotation_of(self.turn_rad).T @ self.shift_m
+        return np.array([range_m, azimuth - up, elevation, east, -north, *site, self.late_s])
+
+
+def rotation_of(vector: FloatArray) -> FloatArray:
+    """The rotation matrix (3, 3) of a rotation vector (3,), rad."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
+
+
+def errors_of(scene: str, rng: np.random.Generator) -> Errors:
+    """The errors of one of `SCENES`; the rotation of scene 2 is drawn."""
+    none = np.zeros(3)
+    turn = rng.uniform(0.2, 0.3, 3) * rng.choice((-1.0, 1.0), 3) * DEG
+    angles = (0.088 * DEG, 0.238 * DEG)
+    bias = np.array([0.0, 0.18, 0.18]) * DEG
+    return {
+        "scene 1": Errors(OFFSET_M, none, none, 0.0, np.array([50.0, 50.0, 50.0]), True),
+        "scene 2": Errors(OFFSET_M, turn, none, 0.0, np.array([50.0, 100.0, 100.0]), True),
+        "white": Errors(none, none, bias, 0.0, np.array([64.0, *angles]), False),
+        "time": Errors(none, none, bias, LATE_S, np.array([30.0, *angles]), False),
+    }[scene]
+
+
+def pairs_of(plots: FloatArray, traffic: Traffic, shift: FloatArray) -> Pairs:
+    """Polar plots (n, K, 3) with the exact reference at their stamps, moved by `shift` (3,), east, north, up about the radar."""
+    n = plots.shape[0] * plots.shape[1]
+    stamp = np.broadcast_to(TIME_S, plots.shape[:2])
+    h = 0.5
+    now, before, after = (traffic.ecef(stamp + d).reshape(n, 3) for d in (0.0, -h, h))
+    track = np.repeat(np.arange(len(plots)), SCANS)
+    flat = plots.reshape(n, 3)
+    return Pairs(
+        plots=Plots(
+            time_s=_EPOCH_S + stamp.ravel(), sensor=np.full(n, RADAR.key), range_m=flat[:, 0],
+            azimuth_rad=np.mod(flat[:, 1], 2 * np.pi), elevation_rad=flat[:, 2], track=track,
+        ),
+        target=track, track=track, plot=np.arange(n), position=now + rotate_back(ROTATION, shift[None])[0],
+        velocity=(after - before) / (2 * h), acceleration=(after - 2 * now + before) / h**2, covariance=np.zeros((n, 3, 3)),
+    )  # fmt: skip
+
+
+# ----------------------------------------------------------------------------------------------------------------- the methods
+@dataclass(frozen=True)
+class Found:
+    """Our estimate: the terms about the antenna's position found first, and that position (3,), east, north, up."""
+
+    calibration: Calibration
+    site: FloatArray
+
+    @property
+    def value(self) -> FloatArray:
+        """Values of `MODEL` (9,), SI; NaN where a term was not determined."""
+        out = np.full(len(MODEL), np.nan)
+        for key, value in zip(self.calibration.terms, self.calibration.value[0], strict=True):
+            out[MODEL.index(key.name)] = value
+        return np.asarray(out + np.array([0.0] * 5 + [*self.site, 0.0]))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (9, 9) of `value`."""
+        at = [MODEL.index(key.name) for key in self.calibration.terms]
+        out = np.full((len(MODEL), len(MODEL)), np.nan)
+        out[np.ix_(at, at)] = self.calibration.covariance[0]
+        return out
+
+    def correct(self, plots: FloatArray, traffic: Traffic) -> tuple[FloatArray, FloatArray]:
+        """Positions (n, K, 3), east, north, up, of polar plots, and the times (K,) when the targets were there."""
+        given = pairs_of(plots, traffic, np.zeros(3)).plots
+        clean = correct(given, self.calibration, sensors=SENSORS, terms="all")
+        polar = np.stack([clean.range_m, clean.azimuth_rad, clean.elevation_rad], axis=1).reshape(plots.shape)
+        moved = clean.time_s.reshape(plots.shape[:2])[0] - _EPOCH_S
+        return enu_from_polar(polar) + self.site, moved
+
+
+def least_squares(plots: FloatArray, traffic: Traffic) -> Found:
+    """Our default estimator, fitted a second time about the antenna's position that it found."""
+    every = pairs_of(plots, traffic, np.zeros(3))
+    # A third of the plots is enough for a position about which the rest is linear.
+    site = site_found(register(every[::3], SENSORS, model=list(MODEL)))
+    return Found(register(pairs_of(plots, traffic, -site), SENSORS, model=list(MODEL)), site)
+
+
+def site_found(found: Calibration) -> FloatArray:
+    """The antenna's displacement (3,) of a calibration; 0 where it was not determined."""
+    at = [found.index(RADAR.key, name) for name in ("site_east", "site_north", "site_up")]
+    return np.array([0.0 if k is None else found.value[0, k] for k in at])
+
+
+def lifted(position: FloatArray, sign: float) -> FloatArray:
+    """Positions (..., 3) whose up is the height above the sphere, or back: level flight is then straight in the filter."""
+    up = position[..., 2] + sign * (position[..., 0] ** 2 + position[..., 1] ** 2) / (2 * _EARTH_M)
+    return np.stack([position[..., 0], position[..., 1], up], axis=-1)
+
+
+def _start(z: FloatArray, r: FloatArray) -> tuple[FloatArray, FloatArray]:
+    x, p = one_point(z[:, 0], r[:, 0], 6, _SPEED_SD)
+    p[:, 5, 5] = _CLIMB_SD**2
+    return x, p
+
+
+def followed(position: FloatArray, covariance: FloatArray, *, offline: bool = False) -> FloatArray:
+    """Positions (n, K, 3) by the EMA-IMM filter, or by its smoother."""
+    z = lifted(position, 1.0)
+    if offline:
+        mean = smooth_models(z, covariance, TIME_S, FILTER, _start(z, covariance), speed_sd_mps=_SPEED_SD).mean
+    else:
+        mean = imm_filter(z, covariance, TIME_S, FILTER, _start(z, covariance), covariances=False).mean
+    return lifted(mean[..., :3], -1.0)
+
+
+def mean_errors(position: FloatArray, traffic: Traffic, time_s: FloatArray) -> FloatArray:
+    """Mean absolute errors (3,) of positions (n, K, 3) at `time_s` (K,): range m, elevation °, azimuth °."""
+    truth = traffic.enu(np.broadcast_to(time_s, position.shape[:2]))
+    off = polar_from_enu(position) - polar_from_enu(truth)
+    off[..., 1] = wrap_rad(off[..., 1])
+    return np.asarray(np.abs(off).mean(axis=(0, 1))[[0, 2, 1]] / np.array([1.0, DEG, DEG]))
+
+
+def clouds(plots: FloatArray, traffic: Traffic) -> tuple[Clouds, FloatArray]:
+    """Clouds of polar plots and the reference at their stamps, and those stamps."""
+    stamp = np.broadcast_to(TIME_S, plots.shape[:2])
+    seen = Clouds(
+        enu_from_polar(plots).reshape(-1, 3), traffic.enu(stamp).reshape(-1, 3), np.repeat(np.arange(len(plots)), SCANS)
+    )
+    return seen, stamp.ravel()
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One scene: errors (runs, methods, 3), genetic rms over joint rms (runs,), CPU seconds per 100 tracks (runs, methods)."""
+
+    scene: str
+
+    def __call__(self, rng: np.random.Generator, runs: int) -> Result:
+        """Arrays with a leading axis of runs."""
+        found = [self._one(rng) for _ in range(runs)]
+        return tuple(np.array([f[k] for f in found]) for k in range(3))
+
+    def _one(self, rng: np.random.Generator) -> tuple[FloatArray, float, FloatArray]:
+        errors = errors_of(self.scene, rng)
+        train, test = draw(rng), draw(rng)
+        learnt, seen = errors.measure(rng, train), errors.measure(rng, test)
+        cloud, stamp = clouds(learnt, train)
+        raw, spread = enu_from_polar(seen), errors.covariance(seen)
+        out, spent = {"raw": mean_errors(raw, test, TIME_S)}, {"raw": 0.0}
+
+        def took(name: str, begun: float) -> None:
+            spent[name] = (time.process_time() - begun) * 100 / TRACKS
+
+        begun = time.process_time()
+        rigid = Genetic()(cloud)
+        out["paper's method"] = mean_errors(followed(rigid(raw), spread), test, TIME_S)
+        took("paper's method", begun)
+        begun = time.process_time()
+        difference = learnt - polar_from_enu(cloud.reference).reshape(learnt.shape)
+        difference[..., 1] = wrap_rad(difference[..., 1])
+        likely = MaximumLikelihood()(difference.reshape(-1, 3), np.zeros((difference.size // 3, 3, 3)), cloud.track)
+        out["maximum likelihood [6]"] = mean_errors(enu_from_polar(seen - likely.value), test, TIME_S)
+        took("maximum likelihood [6]", begun)
+        begun = time.process_time()
+        turned = KalmanTransform()(cloud, stamp)
+        at = np.broadcast_to(TIME_S, seen.shape[:2]).ravel()
+        z = lifted(turned(raw.reshape(-1, 3), at).reshape(raw.shape), 1.0)
+        # One model has to follow turns too: its noise is that much larger.
+        motion = ConstantVelocity(noise=1.0, noise_up=FILTER.noise_up)
+        filtered = kalman_filter(z, spread, TIME_S, motion, _start(z, spread))
+        out["transform matrix [7]"] = mean_errors(lifted(filtered.mean[..., :3], -1.0), test, TIME_S)
+        took("transform matrix [7]", begun)
+        begun = time.process_time()
+        shifted = raw + (cloud.reference - cloud.measured).mean(axis=0)
+        velocity = (shifted[:, 2] - shifted[:, 0]) / (2 * SCAN_S)
+        plain = alpha_beta_filter(shifted, TIME_S, AlphaBeta(alpha=0.4, beta=0.1), velocity)
+        out["alpha-beta"] = mean_errors(plain[..., :3], test, TIME_S)
+        took("alpha-beta", begun)
+        begun = time.process_time()
+        ours = least_squares(learnt, train)
+        clean, moved = ours.correct(seen, test)
+        fitted = time.process_time() - begun
+        for name, offline in (("NLS online", False), ("NLS offline", True)):
+            begun = time.process_time() - fitted
+            out[name] = mean_errors(followed(clean, spread, offline=offline), test, moved)
+            took(name, begun)
+        ratio = rigid.rms_m / _joint(cloud, rigid).rms_m
+        return np.array([out[m] for m in METHODS]), ratio, np.array([spent[m] for m in METHODS])
+
+
+def _joint(cloud: Clouds, rigid: Rigid) -> Rigid:
+    """The joint rigid fit of the pairs that a transform rests on."""
+    return joint_fit(cloud.take(rigid.inliers))
+
+
+@dataclass(frozen=True)
+class Fits:
+    """Our estimates of one scene: errors (runs, 9), their covariances (runs, 9, 9), share of the terms determined (runs,)."""
+
+    scene: str
+
+    def __call__(self, rng: np.random.Generator, runs: int) -> Result:
+        """Arrays with a leading axis of runs."""
+        off, covariance, kept = [], [], []
+        for _ in range(runs):
+            errors = errors_of(self.scene, rng)
+            train = draw(rng)
+            found = least_squares(errors.measure(rng, train), train)
+            off.append(found.value - errors.truth())
+            covariance.append(found.covariance)
+            kept.append(len(found.calibration.terms) / len(MODEL))
+        return np.array(off), np.array(covariance), np.array(kept)
+
+
+# -------------------------------------------------------------------------------------------------------------------- the rows
+def _errors(scene: str, error: FloatArray, rows: list[Row]) -> None:
+    for m, name in enumerate(METHODS):
+        for k, (quantity, unit) in enumerate(QUANTITIES):
+            limit = LIMITS.get(name, {}).get(scene)
+            rows.append(
+                row(f"{scene}-{name}-{quantity}".replace(" ", "-"), f"Mean absolute error, {scene}", name, quantity,
+                    float(error[m, k]), high=None if limit is None else limit[k], unit=unit)
+            )  # fmt: skip
+
+
+def _compare(table: dict[str, FloatArray], rows: list[Row]) -> None:
+    """Ours over the paper's method: nowhere more than 2 % worse, better where the errors are the radar's own."""
+    paper = METHODS.index("paper's method")
+    for scene, error in table.items():
+        for name in ("NLS online", "NLS offline"):
+            for k, (quantity, _) in enumerate(QUANTITIES):
+                better = name == "NLS offline" or (scene in ("white", "time") and quantity != "azimuth")
+                key = f"against-{scene}-{name}-{quantity}".replace(" ", "-")
+                ratio = float(error[METHODS.index(name), k] / error[paper, k])
+                table_name = "Ours over the paper's method"
+                rows.append(row(key, table_name, f"{scene}, {name}", quantity, ratio, high=1.0 if better else 1.02))
+
+
+def _estimates(scene: str, off: FloatArray, covariance: FloatArray, kept: FloatArray, quick: bool, rows: list[Row]) -> None:
+    known, name = np.isfinite(off), scene.replace(" ", "-")
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    nees = []
+    for e, p, k in zip(off, covariance, known, strict=True):
+        nees.append(float(e[k] @ np.linalg.solve(p[np.ix_(k, k)], e[k]) / k.sum()))
+    # The mean of a chi-squared variable over its degrees of freedom scatters by sqrt(2 / (degrees x runs)).
+    room = 2 * np.sqrt(2 / (len(MODEL) * len(off))) if quick else 0.0
+    table = "Our estimates"
+    note = f"Widened by {room:.2f}, twice the sampling error of {len(off)} runs." if quick else ""
+    rows += [
+        row(f"sd-{name}", table, scene, "largest error over its sd, one run", float(np.nanmax(np.abs(off[0]) / sd[0])), high=4.0),
+        row(
+            f"nees-{name}",
+            table,
+            scene,
+            "NEES / degrees of freedom",
+            float(np.mean(nees)),
+            low=0.7 - room,
+            high=1.5 + room,
+            note=note,
+        ),
+        row(f"kept-{name}", table, scene, "share of terms determined", float(kept.mean())),
+    ]
+    if scene == "time":
+        late = off[:, MODEL.index("time_offset")]
+        rows.append(
+            row("time-found", table, scene, "error of the 0.3 s, rms", float(np.sqrt(np.mean(late**2))), high=0.006, unit="s")
+        )
+
+
+def _table_1(error: FloatArray, seconds: FloatArray, rows: list[Row]) -> None:
+    for k, ((quantity, unit), value) in enumerate(zip(QUANTITIES, (60.0, 0.30, 0.30), strict=True)):
+        rows.append(
+            row(f"table-1-reference-{quantity}", "Table 1", "reference accuracy", quantity, None, printed=value, unit=unit)
+        )
+        for name, printed in PRINTED.items():
+            ours = float(error[METHODS.index(name), k])
+            rows.append(
+                row(
+                    f"table-1-{name}-{quantity}".replace(" ", "-"), "Table 1", name, quantity, ours, printed=printed[k], unit=unit
+                )
+            )
+    for m, name in enumerate(METHODS[1:], start=1):
+        rows.append(
+            row(
+                f"time-{name}".replace(" ", "-"),
+                "Table 1",
+                name,
+                "processor time per 100 tracks",
+                float(seconds[m]),
+                printed=PRINTED_S.get(name),
+                unit="s",
+                note="Learning and testing; it is of the machine, and changes from run to run.",
+            )
+        )
+
+
+def _bias_in_prediction(settings: Settings, rows: list[Row]) -> None:
+    """Eq. 7 as printed in scene 1: the correction added in every prediction, against none, and against one on the measurement."""
+    rng = np.random.default_rng([settings.seed, 7])
+    errors, traffic = errors_of("scene 1", rng), draw(rng)
+    z = enu_from_polar(errors.measure(rng, traffic))
+    truth = traffic.enu(np.broadcast_to(TIME_S, z.shape[:2]))
+    settled = slice(SCANS // 2, None)
+    found = {}
+    for name, added, once in (("none", 0.0, 0.0), ("in every prediction", 1.0, 0.0), ("on the measurement once", 0.0, 1.0)):
+        position = predicted_with_bias(z - once * OFFSET_M, errors.covariance(z), -added * OFFSET_M)
+        off = polar_from_enu(position)[..., 0] - polar_from_enu(truth)[..., 0]
+        found[name] = float(np.abs(off[:, settled]).mean())
+        rows.append(row(f"eq-7-{name}".replace(" ", "-"), "Eq. 7", f"bias {name}", "range error, settled", found[name], unit="m"))
+    rows.append(
+        row(
+            "eq-7-ratio",
+            "Eq. 7",
+            "bias in every prediction over none",
+            "range error",
+            found["in every prediction"] / found["none"],
+            low=0.99,
+            high=1.01,
+            note="The velocity absorbs it: 198.4 m with and 198.4 m without in an independent reproduction.",
+        )
+    )
+
+
+def predicted_with_bias(z: FloatArray, r: FloatArray, bias: FloatArray) -> FloatArray:
+    """Positions (n, K, 3) by a Kalman filter that adds `bias` (3,) to the position in every prediction (paper 001 eq. 7)."""
+    transition, noise = matrices(ConstantVelocity(noise=1.0), SCAN_S)
+    x, p = one_point(z[:, 0], r[:, 0], 6, _SPEED_SD)
+    out = np.empty_like(z)
+    out[:, 0] = x[:, :3]
+    for k in range(1, z.shape[1]):
+        x = x @ transition.T
+        x[:, :3] += bias
+        p = transition @ p @ transition.T + noise
+        gain = np.swapaxes(np.linalg.solve(p[:, :3, :3] + r[:, k], p[:, :3]), 1, 2)
+        x = x + np.einsum("nij,nj->ni", gain, z[:, k] - x[:, :3])
+        p = p - gain @ p[:, :3]
+        p = (p + np.swapaxes(p, 1, 2)) / 2
+        out[:, k] = x[:, :3]
+    return out
+
+
+def _limits(rows: list[Row]) -> None:
+    """What the data cannot tell, or what a wrong model costs."""
+    below = np.hypot(_EARTH_M, 100e3) - _EARTH_M
+    rows.append(
+        row("limit-flat-earth", "Limits", "a flat earth at 100 km", "height error", float(below), low=784.0, high=786.0, unit="m")
+    )
+
+
+def _figure(table: dict[str, FloatArray]) -> Drawing:
+    colours = (QUIET, BEFORE, BEFORE_LIGHT, "#d9b38c", "#b9bfc6", AFTER_LIGHT, AFTER)
+    name = "mean-errors"
+    with style(name):
+        figure, (axes,) = axes_grid(1, 3, 2.7, top=0.62)
+        for k, (axis, (quantity, unit)) in enumerate(zip(axes, QUANTITIES, strict=True)):
+            for m in range(len(METHODS)):
+                at = np.arange(len(SCENES)) + (m - 3) * 0.12
+                axis.bar(at, [table[s][m, k] for s in SCENES], 0.11, color=colours[m])
+            axis.set_xticks(range(len(SCENES)), SCENES)
+            axis.set_title(f"{quantity} ({unit})", color=INK)
+            axis.set_yscale("log")
+        axes[0].set_ylabel("mean absolute error")
+        entries = [(band(c), n) for c, n in zip(colours, METHODS, strict=True)]
+        for handle, _ in entries:
+            handle.set_alpha(1.0)
+        legend(figure, entries)
+        svg = to_svg(figure, name)
+    return Drawing(
+        name,
+        svg,
+        "Mean absolute errors of each method on the tracks that it was not trained on (the paper's figures 3 to 5).",
+        "Mean absolute errors of seven methods in four scenes",
+    )
