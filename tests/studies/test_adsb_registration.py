@@ -35,7 +35,7 @@ def test_every_bound_of_the_quick_form_holds(study: Study, tmp_path_factory: pyt
     cells = [r for r in study.rows if r.id.startswith("table-1") and r.printed is not None]
     assert len(cells) == 3 * (len(PRINTED) + 1)
     page = write_study(study, tmp_path_factory.mktemp("page") / "study.html").read_text()
-    assert page.count("<figure") == len(study.figures)
+    assert page.count("<figure") == len(study.figures) == 2
     for scene in SCENES:
         assert sum(r.table == f"Mean absolute error, {scene}" for r in study.rows) == 3 * len(METHODS)
 
