@@ -572,6 +572,12 @@ def load_calibration(path: str | Path) -> Calibration:
             raise InputError(f"{name} has not the shape {shape} of epochs and terms", path=path, remedy=remedy) from error
         arrays.append(array)
     value, covariance = arrays
+    twice = next((key for number, key in enumerate(keys) if key in keys[:number]), None)
+    if twice is not None:
+        raise InputError(f"the term {twice.name} of sensor {twice.sensor} stands there twice", path=path, remedy=remedy)
+    sizes = np.diagonal(covariance, axis1=1, axis2=2)
+    if not np.isfinite(value).all() or not np.isfinite(covariance).all() or (sizes < 0).any():
+        raise InputError("value and covariance hold what cannot be: no number, or a negative variance", path=path, remedy=remedy)
     return Calibration(
         terms=keys,
         epoch_s=np.array(file.epoch_s, np.float64),

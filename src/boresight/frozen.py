@@ -31,6 +31,8 @@ SCHEMA = "boresight-run/1"
 FILE = "run.json"
 # The files that a rerun must give again.  The report is made of them.
 MADE = ("calibration.json", "residuals.parquet")
+# What is handed on is made of them; it must be as it was written.
+HANDED = ("report.html", "conformity.json")
 # Beyond the same versions on the same kind of machine sums are added up in another order: what still counts as the same.
 OF_SD, OF_SPREAD = 1e-3, 1e-3
 
@@ -115,7 +117,7 @@ def save_frozen(frozen: Frozen, folder: Path, result: Path) -> None:
         frozen,
         plots=tuple(placed(g) for g in frozen.plots),
         reference=tuple(placed(g) for g in frozen.reference),
-        made={name: sha256_of(folder / name) for name in MADE},
+        made={name: sha256_of(folder / name) for name in (*MADE, *HANDED) if name in MADE or (folder / name).exists()},
     )
     write_bytes(folder / FILE, msgspec.json.format(msgspec.json.encode(whole), indent=1) + b"\n")
 
@@ -163,6 +165,8 @@ def find_inputs(frozen: Frozen, folder: Path, inputs: Path | None) -> tuple[list
     Looked for in the folder `inputs`, if it is given, at the path as it was given, at the path from the result's folder, and in
     that folder itself.  Raises InputError that names every input that is missing or has changed.
     """
+    if inputs is not None and not inputs.is_dir():
+        raise InputError("is no folder", path=inputs, remedy="--inputs names the folder of the original recordings.")
     wrong: list[str] = []
 
     def found(given: Given) -> Path:
@@ -306,7 +310,8 @@ def _compare_columns(then: Mapping[str, AnyArray], now: Mapping[str, AnyArray]) 
 
 
 def hand_made(frozen: Frozen, folder: Path) -> list[str]:
-    """The files of a result that are not as they were written.  Raises InputError where one is missing."""
+    """The files of a result that are not as they were written.  Raises InputError where calibration or residuals are missing."""
     from .reading import sha256_of
 
-    return [name for name, then in frozen.made.items() if sha256_of(folder / name) != then]
+    gone = [name for name in frozen.made if name in HANDED and not (folder / name).exists()]
+    return [name for name, then in frozen.made.items() if name in gone or sha256_of(folder / name) != then]

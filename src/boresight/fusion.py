@@ -117,7 +117,14 @@ class BarShalomCampo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, ta
         back = np.swapaxes(cross, 1, 2)
         left = one - cross
         # W = (P1 - P12) (P1 + P2 - P12 - P21)^-1, by a solve of the transposed system.
-        weight = np.swapaxes(np.linalg.solve(np.swapaxes(one + two - cross - back, 1, 2), np.swapaxes(left, 1, 2)), 1, 2)
+        try:
+            weight = np.swapaxes(np.linalg.solve(np.swapaxes(one + two - cross - back, 1, 2), np.swapaxes(left, 1, 2)), 1, 2)
+        except np.linalg.LinAlgError:
+            raise SettingsError(
+                "the difference of the two tracks has no spread in some direction",
+                where="bar-shalom-campo",
+                remedy="Tracks that share all their errors are one track: take either.",
+            ) from None
         fused = mean[0] + (weight @ (mean[1] - mean[0])[:, :, None])[:, :, 0]
         spread = one - weight @ np.swapaxes(left, 1, 2)
         return fused, (spread + np.swapaxes(spread, 1, 2)) / 2
@@ -145,7 +152,12 @@ def _weighted(mean: FloatArray, covariance: FloatArray, weight: FloatArray) -> t
     scale = np.sqrt(np.diagonal(covariance, axis1=2, axis2=3)).mean(axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     scaled = covariance / scale[:, :, None] / scale[:, None, :]
-    inverse = np.linalg.inv(scaled) * weight[:, :, None, None]
+    try:
+        inverse = np.linalg.inv(scaled) * weight[:, :, None, None]
+    except np.linalg.LinAlgError:
+        raise SettingsError(
+            "a covariance is singular", where="fusion", remedy="Leave out coordinates that others tell exactly."
+        ) from None
     total = inverse.sum(axis=0)
     spread = np.linalg.solve(total, np.broadcast_to(np.eye(d), total.shape))
     fused = (spread @ np.einsum("snab,snb->na", inverse, mean / scale)[:, :, None])[:, :, 0] * scale
@@ -160,5 +172,9 @@ def _checked(mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, Floa
             f"means {mean.shape} and covariances {covariance.shape} do not fit",
             where="fusion",
             remedy="Give (sources, states, d) and (sources, states, d, d).",
+        )
+    if not (np.diagonal(covariance, axis1=2, axis2=3) > 0).all():
+        raise SettingsError(
+            "a variance is zero, negative or no number", where="fusion", remedy="Leave out coordinates that are exactly known."
         )
     return mean, covariance

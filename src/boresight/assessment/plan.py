@@ -292,6 +292,10 @@ def plan(
     here = information(seen.paths, terms, errors).sum(axis=0) * seen.stands_for
 
     limit = np.array([(target_sd[t.name] / t.prior_sd) ** 2 if t.name in target_sd else np.inf for t in terms]) / grow
+    if not extra:
+        # The recording at hand tells what is reported, not what the model makes of it.
+        root = np.sqrt(grow)
+        here = np.linalg.inv(reported / np.outer(root, root)) - prior
     start = prior if alone else prior + here
     legs, tells = _candidates(seen, terms, errors)
     rate = np.array([_rate(seen, leg) for leg in legs])

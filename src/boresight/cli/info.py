@@ -47,6 +47,8 @@ def info(
         raise SettingsError("one figure shows one recording", where="--out", remedy="Give one file, or no --out.")
     if out is not None and out.suffix.lower() not in (".svg", ".png", ".pdf"):
         raise SettingsError(f"{out.name!r} is no kind of figure", where="--out", remedy="Its name ends in .svg, .png or .pdf.")
+    if out is not None and out.exists():
+        raise SettingsError(f"{out} exists", where="--out", remedy="Name another file.")
     chosen, day = editions_of(edition), date_of(date)
     recordings: list[Any] = []
     audits: list[Any] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from .._types import FloatArray
+from .._types import BoolArray, FloatArray
 from ..errors import SettingsError
 
 
@@ -27,8 +27,9 @@ class AlphaBeta(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 def alpha_beta_filter(z: FloatArray, time_s: FloatArray, gains: AlphaBeta, velocity: FloatArray | None = None) -> FloatArray:
     """States (n, K, 2 k), position and velocity, after each of the positions `z` (n, K, k) at `time_s` (K,).
 
-    Starts at the first position with `velocity` (n, k), else at rest.  NaN positions are times without a measurement.  Raises
-    SettingsError for gains that do not settle (0 < alpha <= 1, 0 <= beta, 2 alpha + beta < 4) and times that go backwards.
+    Starts at each target's first position with `velocity` (n, k), else at rest; before it states are NaN.  NaN positions are
+    times without a measurement, which count towards the time since the last one.  Raises SettingsError for gains that do not
+    settle (0 < alpha <= 1, 0 <= beta, 2 alpha + beta < 4) and times that go backwards.
     """
     z, time_s = np.asarray(z, np.float64), np.asarray(time_s, np.float64)
     if not (0 < gains.alpha <= 1 and gains.beta >= 0 and 2 * gains.alpha + gains.beta < 4):
@@ -45,14 +46,19 @@ def alpha_beta_filter(z: FloatArray, time_s: FloatArray, gains: AlphaBeta, veloc
         )
     n, steps, k = z.shape
     out = np.empty((n, steps, 2 * k))
-    position, speed = z[:, 0].copy(), np.zeros((n, k)) if velocity is None else np.array(velocity, np.float64)
-    out[:, 0, :k], out[:, 0, k:] = position, speed
-    for step in range(1, steps):
-        dt = time_s[step] - time_s[step - 1]
-        position = position + dt * speed
-        off = np.where(np.isnan(z[:, step]), 0.0, z[:, step] - position)
+    position, speed = np.full((n, k), np.nan), np.zeros((n, k)) if velocity is None else np.array(velocity, np.float64)
+    last = np.full(n, np.nan)
+    for step in range(steps):
+        given: BoolArray = np.asarray(np.isfinite(z[:, step]).all(axis=1))
+        if step:
+            position = position + (time_s[step] - time_s[step - 1]) * speed
+        begins = given & np.isnan(last)
+        position[begins] = z[begins, step]
+        off = np.where(given[:, None], z[:, step] - position, 0.0)
         position = position + gains.alpha * off
-        if dt > 0:
-            speed = speed + gains.beta / dt * off
-        out[:, step, :k], out[:, step, k:] = position, speed
+        since = (time_s[step] - last)[:, None]
+        speed = speed + np.where(since > 0, gains.beta / np.where(since > 0, since, 1.0), 0.0) * off
+        last[given] = time_s[step]
+        out[:, step, :k] = position
+        out[:, step, k:] = np.where(np.isnan(position), np.nan, speed)
     return out

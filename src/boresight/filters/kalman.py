@@ -148,7 +148,7 @@ def measured(z: FloatArray, row: int, step: int, axes: tuple[int, ...]) -> bool:
     total = 0.0
     for i in range(len(axes)):
         total += z[row, step, i]
-    return not np.isnan(total)
+    return bool(np.isfinite(total))
 
 
 @kernel

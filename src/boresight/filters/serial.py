@@ -15,7 +15,7 @@ import numpy as np
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..errors import SettingsError
-from ..frames import Automatic, Decorrelated, Ecef, Frame, Linear, Method, Multiplicative, Polar, convert
+from ..frames import Automatic, Decorrelated, Ecef, Enu, Frame, Linear, Method, Multiplicative, Polar, at_rows, convert
 from .kalman import Filtered, kalman_filter, one_point
 from .motion import Motion, matrices, size
 
@@ -48,15 +48,16 @@ def serial_filter(
 ) -> Filtered:
     """One Kalman filter over the plots of all radars, in order of time.
 
-    `radars` are the radars' frames; `frame` is where the filter works (Cartesian; None: Earth-centred axes, which for flat scenes
-    are the plane's).  `conversion` is how plots become positions: "decorrelated" evaluates a plot's covariance at the prediction,
-    "automatic" does so where a plot's own is not good enough.  Without a `start` at plot number `first`, the filter starts there
-    with velocities of `speed_sd_mps`.  State and results as of `kalman.kalman_filter`.
+    `radars` are the radars' frames; `frame` is where the filter works (Cartesian; None: east, north, up about the first radar,
+    or the plane's own axes for flat scenes): turns need its third axis to point up.  `conversion` is how plots become positions:
+    "decorrelated" evaluates a plot's covariance at the prediction, "automatic" does so where a plot's own is not good enough.
+    Without a `start` at plot number `first`, the filter starts there with velocities of `speed_sd_mps`.  State and results as of
+    `kalman.kalman_filter`.
 
     Raises SettingsError for shapes, times or names that make no sense.
     """
     n, steps, k = plots.value.shape
-    target: Frame = Ecef() if frame is None else frame
+    target: Frame = _about(radars) if frame is None else frame
     if isinstance(target, Polar):
         raise SettingsError("the filter works on Cartesian axes", where="serial", remedy="Give Enu(...) or Ecef() as the frame.")
     if conversion not in CONVERSIONS:
@@ -116,6 +117,14 @@ def serial_filter(
         out.mean[:, step], out.covariance[:, step] = x, p
         out.nis[:, step], out.likelihood[:, step] = one.nis[:, 1], one.likelihood[:, 1]
     return out
+
+
+def _about(radars: Sequence[Polar]) -> Frame:
+    """Axes about the first radar; those of the plane where the radars stand on one (nowhere near the Earth's surface)."""
+    first = at_rows(radars[0], slice(0, 1)) if np.ndim(radars[0].site) == 2 else radars[0]
+    assert isinstance(first, Polar)
+    site, rotation = np.reshape(first.site, 3), np.reshape(first.rotation, (3, 3))
+    return Enu(site, rotation) if np.linalg.norm(site) > 6e6 else Ecef()
 
 
 # ----------------------------------------------------------------------------------------------------- gates, pairs, merged plots

@@ -1088,22 +1088,26 @@ def _held_out(reduced: FloatArray, prior: FloatArray, at: FloatArray, layout: _L
 
 
 def accuracy(seen: Observed, fitted: Fit) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Horizontal distances (n,), metres: before, after, and with the value found without the target's own fold (else NaN)."""
+    """Horizontal distances (n,), metres: before, after, and with the value found without the target's own fold (else NaN).
+
+    Terms of acceleration are in the fit, but a correction cannot take them out: plots do not tell accelerations.
+    """
     n = len(seen)
     before, after, held = np.empty(n), np.empty(n), np.full(n, np.nan)
     size = np.bincount(seen.cluster, minlength=len(fitted.held_out))
     fold = folds(size)
     zero = np.zeros(len(fitted.terms))
+    taken = np.array([not t.needs & {"second", "third"} for t in fitted.terms], np.float64)
 
     def piece(part: slice) -> None:
         before[part] = distances(seen, part, fitted.terms, zero)
-        after[part] = distances(seen, part, fitted.terms, fitted.value)
+        after[part] = distances(seen, part, fitted.terms, fitted.value * taken)
 
     in_threads(piece, slices(n, CHUNK))
     for k in range(_FOLDS):
         targets = np.flatnonzero(fold == k)
         if len(targets) and np.isfinite(fitted.held_out[targets[0]]).all():
-            rows, value = np.flatnonzero(fold[seen.cluster] == k), fitted.held_out[targets[0]]
+            rows, value = np.flatnonzero(fold[seen.cluster] == k), fitted.held_out[targets[0]] * taken
 
             def held_piece(part: slice, rows: IntArray = rows, value: FloatArray = value) -> None:
                 held[rows[part]] = distances(seen, rows[part], fitted.terms, value)

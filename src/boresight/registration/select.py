@@ -620,7 +620,10 @@ def _verdict(terms: Sequence[Term], gain: _Gain, k: int, effective: float, sure:
     together = f" (together with {' and '.join(others)})" if 0 < len(others) < 4 else " (with its table)" if others else ""
     amounts = f"{gain.metres:+.3g} m, 95 % between {gain.low:+.3g} and {gain.high:+.3g} m"
     decision: Decision
-    if gain.low > 0:
+    if terms[k].needs & {"second", "third"}:
+        decision = "hold"
+        why = f"plots do not tell the acceleration that the correction would need ({amounts}){together}"
+    elif gain.low > 0:
         decision = "apply"
         why = f"held-out targets come nearer by {gain.metres:.3g} m, to {gain.left:.3g} m{together}"
     elif sure and gain.metres > 0:
