@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 import synthetic
@@ -132,3 +135,14 @@ def test_one_straight_track_leaves_the_turn_about_itself_as_wide_as_it_was_assum
     assert sd[-1] > 0.3
     assert sd[0] < 0.01
     assert np.isfinite(found.covariance).all()
+
+
+def test_the_page_on_these_methods_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    page = Path(__file__).parents[2] / "docs" / "adsb-registration.md"
+    (block,) = re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.S | re.M)
+    names: dict[str, object] = {}
+    exec(compile(block, page.name, "exec"), names)
+    assert "closed form" in capsys.readouterr().out
+    found = names["found"]
+    middle = names["measured"].mean(axis=0)
+    np.testing.assert_allclose(found(middle) - middle, (-200, -200, -400), atol=6)
