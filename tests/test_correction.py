@@ -397,3 +397,12 @@ def test_a_held_term_that_is_there_does_not_spoil_the_others() -> None:
     covariance[2, 0] = covariance[0, 2] = 0.05
     found = Calibration(pair.terms, pair.epoch_s, pair.value, covariance[None], sensors=pair.sensors)
     assert advised(found, "range_bias").value[0, 0] == 5.0
+
+
+def test_plots_without_range_or_azimuth_are_counted() -> None:
+    found = calibration({"range_bias": 40.0})
+    plots = measured(truth(6), {"range_bias": 40.0})
+    plots = plots.replace(range_m=np.where(np.arange(6) < 2, np.nan, plots.range_m))
+    clean, said = correct_and_say(plots, found)
+    assert any(text.startswith("2 plots have no range or no azimuth") for text in said)
+    assert np.isnan(clean.range_m[:2]).all()

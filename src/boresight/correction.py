@@ -75,6 +75,9 @@ def correct_and_say(
     for key, count in zip(keys.tolist(), counts.tolist(), strict=True):
         if key not in calibrated:
             said.append(f"{count:,} plots of SAC/SIC {_place(key)} were left as they are: the calibration has no such sensor")
+    blank = int((np.isin(plots.sensor, list(calibrated)) & ~(np.isfinite(plots.range_m) & np.isfinite(plots.azimuth_rad))).sum())
+    if blank:
+        said.append(f"{blank:,} plots have no range or no azimuth: what they have not cannot be corrected")
     columns = {
         name: getattr(plots, name).copy()
         for name in ("time_s", "range_m", "azimuth_rad", "elevation_rad", "range_sd_m", "azimuth_sd_rad", "elevation_sd_rad")

@@ -29,7 +29,7 @@ def study(
     Parameters
     ----------
     name
-        serial-fusion, covariance-conversion, double-target, or all.
+        serial-fusion, covariance-conversion, double-target, mean-shift, adsb-registration, or all.
     quick
         Fewer draws: under a minute a study.
     out
