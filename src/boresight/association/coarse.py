@@ -327,6 +327,6 @@ def clock_words(sensor: Sensor, bias: CoarseBias) -> list[str]:
         return []
     way = "late" if bias.time_s > 0 else "early"
     return [
-        f"{sensor.name}: the radar's stamps are about {abs(bias.time_s):.1f} s {way} against the reference; "
-        "a model with time_offset estimates it, and correction takes it out"
+        f"{sensor.name}: the radar's stamps are about {abs(bias.time_s):.1f} s {way} against the reference: "
+        "time_offset, where the model has it, says how much, and correction takes it out"
     ]
