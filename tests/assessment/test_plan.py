@@ -152,7 +152,7 @@ def test_a_gain_is_learned_along_the_range(seen: tuple[Calibration, Residuals]) 
 def _with(summary: object, **changes: object) -> object:
     import msgspec
 
-    return msgspec.structs.replace(summary, **changes)  # type: ignore[type-var]
+    return msgspec.structs.replace(summary, **changes)
 
 
 def test_what_cannot_be_reached_says_why(seen: tuple[Calibration, Residuals]) -> None:

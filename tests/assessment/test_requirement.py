@@ -47,7 +47,7 @@ def calibration(value: float, sd: float, term: str = "azimuth_bias", channel: st
         value=np.array([[value * scale]]),
         covariance=np.array([[[(sd * scale) ** 2]]]),
         sensors=(summary,),
-        **more,  # type: ignore[arg-type]
+        **more,
     )
 
 
@@ -61,12 +61,12 @@ def pairs(error_m: np.ndarray, target: np.ndarray, **more: object) -> Residuals:
         "time_s": np.arange(float(n)), "range_before_m": error_m, "range_after_m": error_m, "distance_before_m": np.abs(error_m),
         "reference_range_m": np.full(n, 50e3),
     }  # fmt: skip
-    return Residuals(**columns | more)  # type: ignore[arg-type]
+    return Residuals(**columns | more)
 
 
 def requirement(**figure: object) -> Requirement:
     base: dict[str, object] = {"clause": "1", "quantity": "azimuth_bias", "unit": "deg", "max": 0.1}
-    return Requirement(name="Spec", source="here", edition="1", figure=(Figure(**base | figure),))  # type: ignore[arg-type]
+    return Requirement(name="Spec", source="here", edition="1", figure=(Figure(**base | figure),))
 
 
 @given(

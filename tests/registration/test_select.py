@@ -98,7 +98,7 @@ def test_none_takes_the_usual_terms_and_a_model_that_is_given_stays_as_it_is() -
     assert decisions["azimuth_cos"] == decisions["azimuth_sin"] == "hold"
     assert names(advised(given)) == {t for t, decision in decisions.items() if decision == "apply"}
     with pytest.raises(SettingsError, match="criterion"):
-        register(s.pairs, s.sensors, settings=LeastSquares(criterion="aic"))  # type: ignore[arg-type]
+        register(s.pairs, s.sensors, settings=LeastSquares(criterion="aic"))
 
 
 def test_the_gain_is_what_held_out_targets_gain() -> None:

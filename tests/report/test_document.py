@@ -57,7 +57,7 @@ def told(scene: Scene) -> Calibration:
 def judged(verdict: str, quantity: str) -> Conformity:
     return Conformity(
         requirement="Example, edition 1", clause="4.2", sensor="Alpha", quantity=quantity, unit="m", limit=100.0, value=180.0,
-        low=170.0, high=190.0, verdict=verdict, why="the whole interval lies beyond",  # type: ignore[arg-type]
+        low=170.0, high=190.0, verdict=verdict, why="the whole interval lies beyond",
     )  # fmt: skip
 
 
@@ -289,7 +289,7 @@ def test_residuals_name_their_targets(few: Scene, tmp_path: Path) -> None:
     from boresight.flow import Run, write_results
 
     duckdb = pytest.importorskip("duckdb")
-    found = Association(few.pairs, (), np.zeros(len(few.pairs), np.int64), None, ())  # type: ignore[arg-type]
+    found = Association(few.pairs, (), np.zeros(len(few.pairs), np.int64), None, ())
     run = Run(few.calibration, found, few.residuals, targets={0: "4CA123", 2: "HELLO"})
     write_results(run, few.sensors, tmp_path / "out")
     path = tmp_path / "out" / "residuals.parquet"

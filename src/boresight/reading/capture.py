@@ -887,7 +887,8 @@ def _gps_stamp(raw: bytes, place: int) -> tuple[int, float]:
 def _gps_block(raw: bytes, place: int, final: bool, known: frozenset[int], latest: float, mark: bytes) -> tuple[int, float]:
     """As `_gps_stamp`, for what is a stamped block.
 
-    Its trailer begins as the last one did (`mark`), with a time near that one's; or it goes so with the one that follows.
+    Its trailer begins as the last one did (`mark`), with a time near that one's or behind a block of a known category (a recorder
+    that was stopped meanwhile goes on hours later); or it goes so with the one that follows.
     """
     end, stamp = _gps_stamp(raw, place)
     if end <= 0:
@@ -897,7 +898,7 @@ def _gps_block(raw: bytes, place: int, final: bool, known: frozenset[int], lates
         # A length that is wrong ends at the trailer of another block.
         return 0, stamp
     near = not _apart_s(stamp, latest) > _GPS_APART_S
-    if own == mark and (near or (end == len(raw) and final)):
+    if own == mark and (near or (mark and raw[place] in known) or (end == len(raw) and final)):
         return end, stamp
     follows, then = _gps_stamp(raw, end)
     if follows < 0 and not final:
