@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from boresight.geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate
 from boresight.measure import polar_from_enu, wrap_rad
 from boresight.model import Channel
-from boresight.simulation import Adsb, Airport, Radar, Scenario, Simulated, Traffic, simulate
+from boresight.simulation import Adsb, Airport, Radar, Scenario, Simulated, Traffic, Truth, simulate
 from boresight.simulation.radar import geometry_at, site
 from boresight.terms import DEG, TERMS, TIME_TERMS, Geometry
 from boresight.writing.asterix import accuracy_sd_m
@@ -297,3 +297,42 @@ def test_same_seed_same_tables_other_seed_others() -> None:
 def test_another_radar_changes_nothing_of_the_first() -> None:
     one, two = scene(changed(BARE, range_sd_m=30.0)), scene(changed(BARE, range_sd_m=30.0), changed(BARE, name="second", sic=2))
     np.testing.assert_array_equal(one.observations[0].plots.range_m, two.observations[0].plots.range_m)
+
+
+def test_a_radar_that_moves_and_swings_measures_in_its_own_axes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rates in the antenna's axes against differences of what it measures; plots are taken where its own axes point."""
+    from boresight.simulation import radar as module
+
+    def swinging(radar: Radar, truth: Truth, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        origin, level = site(radar)
+        way = np.stack([8.0 * seconds, 300.0 * np.sin(seconds / 40.0), 2.0 * np.sin(seconds)], axis=-1)
+        roll, zero, one = 0.06 * np.sin(seconds / 1.3), np.zeros_like(seconds), np.ones_like(seconds)
+        lean = np.array([[np.cos(roll), zero, -np.sin(roll)], [zero, one, zero], [np.sin(roll), zero, np.cos(roll)]])
+        return origin + way @ level, np.moveaxis(lean, -1, 0) @ level
+
+    monkeypatch.setattr(module, "pose", swinging)
+    run = scene(BARE)
+    seen = run.observations[0]
+    assert len(seen.plots) > 1000
+    antenna = 2 * np.pi * (seen.plots.time_s - run.truth.epoch_s - 1.25) / 4.0
+    assert np.abs(wrap_rad(antenna - seen.plots.azimuth_rad)).max() < 1e-6
+    rows = np.flatnonzero((seen.plots.range_m > 15e3) & (seen.seconds > 60.0) & (seen.seconds < 800.0))[::9]
+    target, when = seen.target[rows], seen.seconds[rows]
+    h = 0.02
+
+    def polar(at: np.ndarray) -> np.ndarray:
+        origin, rotation = swinging(BARE, run.truth, at)
+        return polar_from_enu(rotate(rotation, run.truth.motion(target, at, 0).position - origin))
+
+    g = geometry_at(run.truth, BARE, target, when)
+    inside = (when - h > run.truth.first_s[target]) & (when + h < run.truth.last_s[target])
+    before, now, after = polar(when - h), polar(when), polar(when + h)
+    across, bend = after - before, after - 2 * now + before
+    across[:, 1], bend[:, 1] = wrap_rad(across[:, 1]), wrap_rad(bend[:, 1])
+    np.testing.assert_array_equal(now[:, 0], g.range_m)
+    # The errors of these plain differences are third and fourth rates times h^2.
+    for k, (rate, second) in enumerate([(1e-3, 5e-3), (1e-6, 1e-5), (1e-5, 1e-5)]):
+        np.testing.assert_allclose((across / (2 * h))[inside, k], g.rate[inside, k], rtol=1e-3, atol=rate)
+        np.testing.assert_allclose((bend / h**2)[inside, k], g.second[inside, k], rtol=1e-3, atol=second)
+    ahead, behind = (geometry_at(run.truth, BARE, target[inside], when[inside] + d).second for d in (h, -h))
+    np.testing.assert_allclose((ahead - behind)[:, 2] / (2 * h), g.third[inside, 2], rtol=2e-3, atol=1e-5)

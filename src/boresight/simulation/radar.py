@@ -19,7 +19,7 @@ from ..model import Channel, Fixes, Flag, Plots, Sensor
 from ..terms import Geometry, Term, Whose, late_s, term_of
 from ..writing.asterix import Marks, accuracy_sd_m
 from ..writing.nmea import KNOT_MPS, AisPositions, AisStatics
-from .truth import STEP_S, Truth
+from .truth import STEP_S, Motion, Truth
 
 # The quanta of CAT048 and CAT021.
 ASTERIX_RANGE_M = 1852.0 / 256
@@ -174,16 +174,46 @@ def site(radar: Radar) -> tuple[FloatArray, FloatArray]:
     return ecef_from_geodetic(latitude, longitude, radar.height_m), enu_from_ecef(latitude, longitude)
 
 
+def pose(radar: Radar, truth: Truth, seconds: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where the antenna is (n, 3), ECEF metres, and the rotation (n, 3, 3) to the axes it measures in, at times (n,).
+
+    Times are seconds after the epoch.  Of a radar that stands still both are one for all times, (3,) and (3, 3).
+    """
+    return site(radar)
+
+
+# Rates of a pose come from its values so many seconds apart, by central differences of sixth (third rate: fourth) order.
+_POSE_STEP_S = 0.05
+_POSE_RATES = np.array(
+    [
+        [-1 / 60, 3 / 20, -3 / 4, 0.0, 3 / 4, -3 / 20, 1 / 60],
+        [1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90],
+        [1 / 8, -1.0, 13 / 8, 0.0, -13 / 8, 1.0, -1 / 8],
+    ]
+)
+
+
+def _relative(truth: Truth, radar: Radar, target: IntArray, seconds: FloatArray, motion: Motion) -> Motion:
+    """Targets (n,) in the antenna's axes: where they are from it, and how that moves, as far as `motion` tells."""
+    origin, rotation = pose(radar, truth, seconds)
+    away = motion.position - origin
+    if rotation.ndim == 2:
+        return Motion(*(rotate(rotation, part) for part in (away, *motion[1:])))
+    near = [pose(radar, truth, seconds + k * _POSE_STEP_S) for k in range(-3, 4)]
+    scale = _POSE_STEP_S ** -np.arange(1.0, 4.0)
+    # About the place at the time itself: differences of Earth-centred positions would lose digits.
+    moved = np.einsum("dk,knj,d->dnj", _POSE_RATES, np.stack([at - origin for at, _ in near]), scale)
+    turned = np.einsum("dk,knij,d->dnij", _POSE_RATES, np.stack([turn for _, turn in near]), scale)
+    turn, p = [rotation, *turned], [away, *(own - ours for own, ours in zip(motion[1:], moved, strict=True))]
+    choose = ((1,), (1, 1), (1, 2, 1), (1, 3, 3, 1))
+    return Motion(*(sum((c * rotate(turn[j], p[k - j]) for j, c in enumerate(choose[k])), np.zeros_like(away)) for k in range(4)))
+
+
 def geometry_at(truth: Truth, radar: Radar, target: IntArray, seconds: FloatArray) -> Geometry:
     """How targets (n,) truly stand and move as the radar sees them, at times (n,) after the epoch."""
-    origin, rotation = site(radar)
     motion = truth.motion(target, seconds)
-    polar, rate, second, third = polar_motion(
-        rotate(rotation, motion.position - origin),
-        rotate(rotation, motion.velocity),
-        rotate(rotation, motion.acceleration),
-        rotate(rotation, motion.jerk),
-    )
+    polar, rate, second, third = polar_motion(*_relative(truth, radar, target, seconds, motion))
+    _, rotation = pose(radar, truth, seconds)
     return Geometry(
         range_m=polar[:, 0],
         azimuth_rad=polar[:, 1],
@@ -204,7 +234,6 @@ def _passings(truth: Truth, radar: Radar, first_north_s: float) -> tuple[IntArra
     (or a quarter of a scan), then by Newton's method.
     """
     step = min(STEP_S, radar.scan_s / 4)
-    origin, rotation = site(radar)
     targets: list[IntArray] = []
     times: list[FloatArray] = []
     for k in range(truth.flights, len(truth)) if radar.kind == "marine" else range(truth.flights):
@@ -213,6 +242,7 @@ def _passings(truth: Truth, radar: Radar, first_north_s: float) -> tuple[IntArra
         count = int((truth.last_s[k] - truth.first_s[k]) / step) + 1
         when = np.linspace(truth.first_s[k], truth.last_s[k], count)
         position = truth.motion(np.full(count, k), when, derivatives=0).position
+        origin, rotation = pose(radar, truth, when)
         azimuth = np.unwrap(polar_from_enu(rotate(rotation, position - origin))[:, 1])
         turns = (when - first_north_s) / radar.scan_s - azimuth / (2 * np.pi)
         # A target over the antenna can outrun the beam for a moment; such turns are not passings.
@@ -224,9 +254,8 @@ def _passings(truth: Truth, radar: Radar, first_north_s: float) -> tuple[IntArra
     seconds = np.concatenate(times) if times else np.empty(0)
     left = np.zeros(len(target))
     for _ in range(6):
-        motion = truth.motion(target, seconds, derivatives=1)
-        enu = rotate(rotation, motion.position - origin)
-        polar, rate, _, _ = polar_motion(enu, rotate(rotation, motion.velocity), np.zeros_like(enu))
+        seen = _relative(truth, radar, target, seconds, truth.motion(target, seconds, derivatives=1))
+        polar, rate, _, _ = polar_motion(*seen, order=1)
         turns = (seconds - first_north_s) / radar.scan_s - polar[:, 1] / (2 * np.pi)
         left = turns - np.rint(turns)
         speed = 1.0 / radar.scan_s - rate[:, 1] / (2 * np.pi)
@@ -308,7 +337,6 @@ def _plots(
     """The table of the measured values, with the identity that each plot's channel gives."""
     craft = truth.aircraft
     secondary, addressed = whose.channel != Channel.PSR, np.isin(whose.channel, (Channel.MODE_S, Channel.MODE_S_PSR))
-    origin, rotation = site(radar)
     azimuth = wrap_turn(_rounded(measured[:, 1], math.radians(radar.azimuth_quantum_deg)))
     columns: dict[str, AnyArray] = {
         "time_s": stamp,
@@ -322,7 +350,7 @@ def _plots(
     if radar.elevation_sd_deg is not None:
         columns["elevation_rad"] = _rounded(measured[:, 2], math.radians(radar.elevation_quantum_deg))
         if radar.height_from_elevation:
-            columns["height_m"] = geodetic_from_ecef(position_from_polar(measured, origin, rotation))[2]
+            columns["height_m"] = geodetic_from_ecef(position_from_polar(measured, *pose(radar, truth, seconds)))[2]
     if secondary.any():
         position = truth.motion(target, seconds, derivatives=0).position
         altitude = truth.geodetic(position)[2] + craft.altimetry_m[target]
@@ -395,16 +423,19 @@ def _north_marks(truth: Truth, radar: Radar, north: float) -> Marks:
     """One north mark a turn, with the radar's position and its rotation period; a marine radar gives none."""
     span = float(truth.last_s.max()) if len(truth) else 0.0
     turns = 0 if radar.kind == "marine" else max(0, math.floor((span - north) / radar.scan_s) + 1)
-    when = north + radar.scan_s * np.arange(turns)
+    when = np.asarray(north + radar.scan_s * np.arange(turns), np.float64)
     n = len(when)
+    origin, rotation = pose(radar, truth, when)
+    still = math.radians(radar.lat_deg), math.radians(radar.lon_deg), radar.height_m
+    latitude, longitude, height = (np.full(n, v) for v in still) if rotation.ndim == 2 else geodetic_from_ecef(origin)
     return Marks(
-        time_s=np.asarray(truth.epoch_s + when + radar.time_offset_s, np.float64),
+        time_s=truth.epoch_s + when + radar.time_offset_s,
         sensor=np.full(n, radar.sac << 8 | radar.sic),
         azimuth_rad=np.full(n, np.nan),
         rotation_s=np.full(n, radar.scan_s),
-        latitude_rad=np.full(n, math.radians(radar.lat_deg)),
-        longitude_rad=np.full(n, math.radians(radar.lon_deg)),
-        height_m=np.full(n, radar.height_m),
+        latitude_rad=latitude,
+        longitude_rad=longitude,
+        height_m=height,
     )
 
 
