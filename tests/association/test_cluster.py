@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from itertools import combinations
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from boresight.alignment import locate
+from boresight.association import association_of, search
 from boresight.association.cluster import Traces, TrackMatch, k_medoids
-from boresight.errors import InputError, SettingsError
+from boresight.errors import InputError, NothingToDo, SettingsError
+from boresight.simulation import simulate
+from boresight.simulation.demo import association_scene
 
 
 def distances(points: np.ndarray) -> np.ndarray:
@@ -107,3 +112,44 @@ def test_bad_input_is_refused() -> None:
     radar, reference = traffic(1, 0.0, count=3)
     with pytest.raises(SettingsError, match="threshold"):
         TrackMatch(threshold=0.0)(radar, reference)
+
+
+def test_whole_tracks_are_paired_by_clusters_in_place_of_the_search() -> None:
+    """A primary radar with errors that are small against the distances of the aircraft, and one with large ones."""
+    scene = association_scene(1)
+    radar = msgspec.structs.replace(scene.radar[0], errors={"range_bias": 80.0, "azimuth_bias": 0.1})
+    traffic = msgspec.structs.replace(scene.traffic, aircraft=12)
+    seen = simulate(msgspec.structs.replace(scene, radar=(radar,), traffic=traffic, duration_s=300.0), 1)
+    plots, truth = seen.observations[0].plots, seen.observations[0].target
+    assert (plots.track >= 0).any()
+    fixes = locate(seen.fixes, seen.sensors)[0]
+    found = search(plots, fixes, seen.sensors, association_of("k-medoids", {"threshold": "0.6", "height_limit_m": "1000"}))
+    assert found.bias[0].by == "k-medoids"
+    assert abs(found.bias[0].range_m - 80.0) < 60.0
+    assert len(found.pairs) > 0.3 * len(plots)
+    # Whom a target of the reference is paired with is one aircraft, but for a few that are near each other.
+    aircraft = truth[found.pairs.plot]
+    by_target = [aircraft[found.pairs.target == one] for one in np.unique(found.pairs.target)]
+    right = sum(np.unique(own, return_counts=True)[1].max() for own in by_target)
+    assert right > 0.9 * len(found.pairs)
+    with pytest.raises(NothingToDo, match=r"pair none of its \d+ tracks .* and 85 % are needed.*hough"):
+        search(plots, fixes, seen.sensors, association_of("k-medoids", {"clusters": "1"}))
+    with pytest.raises(NothingToDo, match=r"neither track numbers nor identities.*hough"):
+        search(plots.replace(track=np.full(len(plots), -1)), fixes, seen.sensors, association_of("k-medoids", {}))
+
+
+def test_options_of_association_are_told_before_anything_is_done() -> None:
+    assert association_of("hough", {"gate_sd": "8", "use_identity": "false"}).gate_sd == 8.0
+    found = association_of("k-medoids", {"period_s": "10", "denominator": "plots", "gate_m": "900"})
+    assert found.matching == TrackMatch(period_s=10.0, denominator="plots")
+    assert found.gate_m == 900.0
+    for name, options, said in (
+        ("medoids", {}, "Known: hough, k-medoids"),
+        ("hough", {"threshold": "0.9"}, "It has: range_window_m"),
+        ("k-medoids", {"threshhold": "0.9"}, "It has: period_s, height_limit_m, threshold, denominator, clusters"),
+        ("k-medoids", {"threshold": "much"}, "threshold"),
+        ("k-medoids", {"threshold": "1.5"}, "threshold = 1.5 makes no sense"),
+        ("hough", {"gate_m": "-1"}, "gate_m = -1.0 must be positive"),
+    ):
+        with pytest.raises(SettingsError, match=said):
+            association_of(name, options)

@@ -10,6 +10,7 @@ pairs.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import msgspec
@@ -21,12 +22,16 @@ from ..errors import NothingToDo, SettingsError
 from ..model import EXCLUDED, Fixes, Pairs, Plots, Sensor, Sensors, _column, _float, _Table
 from . import hough, identity, singles, tracklets
 from .assign import Decision, assign, track_cost
+from .cluster import Traces, TrackMatch
 from .coarse import CoarseBias, clock_words, coarse, farthest_travelled, span_of
 from .hough import Window
 from .scene import Reference, Scene, Units, expand, meeting, reference_of, units_of
-from .settings import AssociationSettings, assumed, window_of
+from .settings import ASSOCIATIONS, AssociationSettings, association_of, assumed, window_of
 
-__all__ = ["REASONS", "Association", "AssociationSettings", "CoarseBias", "Decisions", "associate", "search"]
+__all__ = [
+    "ASSOCIATIONS", "REASONS", "Association", "AssociationSettings", "CoarseBias", "Decisions", "associate", "association_of",
+    "search",
+]  # fmt: skip
 
 REASONS = (
     "used",
@@ -103,11 +108,18 @@ def associate(plots: Plots, fixes: Fixes, sensors: Sensors, settings: Associatio
     return search(plots, fixes, sensors, settings).pairs
 
 
-def search(plots: Plots, fixes: Fixes, sensors: Sensors, settings: AssociationSettings | None = None) -> Association:
+def search(
+    plots: Plots,
+    fixes: Fixes,
+    sensors: Sensors,
+    settings: AssociationSettings | None = None,
+    views: Mapping[int, alignment.Viewer] | None = None,
+) -> Association:
     """`associate` with everything found on the way: coarse biases, decisions, what became of each plot, warnings.
 
-    Raises as `associate`.
+    `views`, by sensor id, are how radars that move see the reference (`platform.platform_views`).  Raises as `associate`.
     """
+    views = views or {}
     settings = settings or AssociationSettings()
     if not len(plots):
         raise NothingToDo(
@@ -126,7 +138,8 @@ def search(plots: Plots, fixes: Fixes, sensors: Sensors, settings: AssociationSe
         if not len(rows):
             continue
         try:
-            one = _one_sensor(plots.take(rows), sensor, sensors, reference, settings, sum(len(f.decisions) for f in found))
+            seen = reference.seen_by(views.get(sensor.key))
+            one = _one_sensor(plots.take(rows), sensor, sensors, seen, settings, sum(len(f.decisions) for f in found))
         except NothingToDo as error:
             reason[rows] = _UNASSIGNED
             refused.append(error)
@@ -141,7 +154,7 @@ def search(plots: Plots, fixes: Fixes, sensors: Sensors, settings: AssociationSe
             "; ".join(Exception.__str__(e) for e in refused), remedy=" ".join(dict.fromkeys(e.remedy for e in refused))
         )
     said += [f"not used: {e}" for e in refused]
-    pairs = _pairs(plots, np.flatnonzero(reason == _USED), target, track, reference)
+    pairs = _pairs(plots, np.flatnonzero(reason == _USED), target, track, reference, views)
     return Association(pairs, tuple(f.bias for f in found), reason, Decisions.concat([f.decisions for f in found]), tuple(said))
 
 
@@ -200,18 +213,23 @@ def _one_sensor(
                 f"{sensor.name}: no plot is of a moving target ({_counted(reason)})", remedy="Parked targets cannot serve."
             )
         tracks = group(np.flatnonzero(reason == _USED))
-    names = identity.names_of(plots, tracks.order, tracks.start)
-    bias, said = coarse(scene, tracks, names)
-    decided, by = _decide(scene, tracks, names, bias)
+    said: list[str] = []
+    if settings.matching is not None:
+        bias, decided, by = _by_clusters(scene, tracks, settings.matching)
+    else:
+        names = identity.names_of(plots, tracks.order, tracks.start)
+        bias, said = coarse(scene, tracks, names)
+        decided, by = _decide(scene, tracks, names, bias)
     for _ in range(6):
         before, bias = bias, _refined(scene, tracks, decided, bias)
-        if not _moved(scene, before, bias):
+        if settings.matching is not None or not _moved(scene, before, bias):
             break
         # Large gain, eccentricity, or biases at the window's edge are found in steps: what they now explain is looked at again.
         decided, by = _decide(scene, tracks, names, bias)
-    alone = tracks.alone
+    # Clusters tell of tracks only.
+    alone = tracks.alone if settings.matching is None else tracks.alone[:0]
     nearest = singles.nearest(scene, alone, bias)
-    if np.count_nonzero(decided.target >= 0) < settings.min_tracks:
+    if settings.matching is None and np.count_nonzero(decided.target >= 0) < settings.min_tracks:
         for _ in range(6):
             before, bias = bias, _refined_alone(scene, alone, nearest, bias)
             if not _moved(scene, before, bias):
@@ -298,6 +316,11 @@ def _check_reach(scene: Scene, rows: IntArray) -> None:
     use = scene.reference.order
     height = np.nan_to_num(np.where(np.isfinite(fixes.height_m), fixes.height_m, fixes.pressure_altitude_m)[use])
     position = ecef_from_geodetic(fixes.latitude_rad[use], fixes.longitude_rad[use], height)
+    if scene.reference.trajectories.view is not None:
+        seen = alignment.states(scene.reference.trajectories, scene.reference.target[use], fixes.time_s[use])
+        if not seen.valid.any():
+            return
+        position = seen.position[seen.valid]
     distance = np.linalg.norm(position - scene.site, axis=1)
     farthest = float(scene.plots.range_m[rows].max())
     if not np.any(distance <= 1.1 * farthest + scene.window.range_m + 1000.0):
@@ -363,6 +386,59 @@ def _decide(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names, bi
     how = kind[found, decided.target[found]]
     by[found] = np.where(how >= 0, how, BY_GEOMETRY)
     return decided, by
+
+
+def _by_clusters(scene: Scene, tracks: tracklets.Tracklets, method: TrackMatch) -> tuple[CoarseBias, Decision, AnyArray]:
+    """The target of each tracklet by K-medoids, from biases of zero.  Raises NothingToDo where no track finds its target.
+
+    The reference is taken once a scan, at its middle.  Points are compared in space where the radar measures elevation, else in
+    the plane of slant range and azimuth.
+    """
+    rows, number = tracks.order, tracks.member()
+    if not len(rows):
+        raise NothingToDo(
+            f"{scene.sensor.name}: K-medoids pair whole tracks, and its plots carry neither track numbers nor identities",
+            remedy="Associate by hough.",
+        )
+    plots, reference = scene.plots, scene.reference
+    begin, end = float(plots.time_s[rows].min()), float(plots.time_s[rows].max())
+    scan = begin + (np.arange(int((end - begin) / method.period_s) + 1) + 0.5) * method.period_s
+    which, at = np.nonzero((reference.start_s[:, None] <= scan) & (scan <= reference.end_s[:, None]))
+    state = alignment.states(reference.trajectories, which, scan[at])
+    here = state.valid
+    which, at = which[here], at[here]
+    enu = scene.local(state.position[here] - scene.site)
+    distance, azimuth, elevation = plots.range_m[rows], scene.azimuth_rad[rows], plots.elevation_rad[rows]
+    solid = bool(np.isfinite(elevation).all())
+    if solid:
+        flat = distance * np.cos(elevation)
+        own = np.stack([flat * np.sin(azimuth), flat * np.cos(azimuth), distance * np.sin(elevation)], axis=1)
+        own_height, height = own[:, 2], enu[:, 2]
+    else:
+        own = np.stack([distance * np.sin(azimuth), distance * np.cos(azimuth), np.zeros(len(rows))], axis=1)
+        slant = np.linalg.norm(enu, axis=1) / np.maximum(np.hypot(enu[:, 0], enu[:, 1]), 1.0)
+        enu = np.stack([enu[:, 0] * slant, enu[:, 1] * slant, np.zeros(len(enu))], axis=1)
+        near = reference.nearest_fix(which, scan[at])
+        fresh = np.abs(reference.fixes.time_s[near] - scan[at]) < 15.0
+        own_height = plots.pressure_altitude_m[rows]
+        height = np.where(fresh, reference.fixes.pressure_altitude_m[near], np.nan)
+    matched = method(Traces(own, own_height, plots.time_s[rows], number), Traces(enu, height, scan[at], which))
+    target = np.full(len(tracks), -1, np.int64)
+    target[matched.track] = matched.target
+    found = int(np.count_nonzero(target >= 0))
+    if not found:
+        best = float(matched.share.max(initial=0.0))
+        raise NothingToDo(
+            f"{scene.sensor.name}: K-medoids pair none of its {len(tracks)} tracks with a target: the best percentage of matches "
+            f"is {100 * best:.0f} %, and {100 * method.threshold:.0f} % are needed",
+            remedy="They work where errors are smaller than the distances of the targets: else associate by hough.",
+        )
+    bias = CoarseBias(
+        sensor=scene.sensor.key, name=scene.sensor.name, range_m=0.0, azimuth_rad=0.0, time_s=0.0, by="k-medoids",
+        score=float(found), tracks=len(tracks), chance=np.nan,
+    )  # fmt: skip
+    by = np.where(target >= 0, BY_GEOMETRY, -1).astype(np.int8)
+    return bias, Decision(target, np.full(len(tracks), np.nan), np.full(len(tracks), np.nan)), by
 
 
 def _height_cost(scene: Scene, units: Units, track: IntArray, target: IntArray) -> FloatArray:
@@ -456,10 +532,22 @@ def _gate(scene: Scene, reason: AnyArray, target: IntArray, bias: CoarseBias) ->
 # ---------------------------------------------------------------------------------------------------------------------- pairs
 
 
-def _pairs(plots: Plots, rows: IntArray, target: IntArray, track: IntArray, reference: Reference) -> Pairs:
-    """The paired plots with the reference at their own stamps."""
+def _pairs(
+    plots: Plots,
+    rows: IntArray,
+    target: IntArray,
+    track: IntArray,
+    reference: Reference,
+    views: Mapping[int, alignment.Viewer],
+) -> Pairs:
+    """The paired plots with the reference at their own stamps, as their radar sees it."""
     mine = plots.take(rows)
     s = alignment.states(reference.trajectories, target[rows], mine.time_s)
+    for key, view in views.items():
+        own = mine.sensor == key
+        seen = view(alignment.States(*(column[own] for column in s)), mine.time_s[own])
+        for column, value in zip(s, seen, strict=True):
+            column[own] = value
     length = np.where(np.isfinite(s.length_m), s.length_m, _own_length(mine.length_m, track[rows]))
     return Pairs(
         plot=rows, plots=mine, target=target[rows], track=track[rows], position=s.position, velocity=s.velocity,

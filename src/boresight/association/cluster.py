@@ -118,26 +118,31 @@ class TrackMatch(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     `period_s` is the scan, and the screen of time; points further than `height_limit_m` from every point of the other side are
     screened out.  A plot votes where all reference points of its cluster are of one target.  A track belongs to the target with
     the most votes where these are at least `threshold` of its votes, or of all its plots: the `denominator` decides everything,
-    and the paper does not say which.
+    and the paper does not say which.  `clusters` is how many a scan is cut into (0: as many as it has targets; never more than
+    it has points).  Raises SettingsError for values that make no sense.
     """
 
     period_s: float = 4.0
     height_limit_m: float = 500.0
     threshold: float = 0.85
     denominator: Literal["votes", "plots"] = "votes"
+    clusters: int = 0
     seed: int = 1
 
-    def __call__(self, radar: Traces, reference: Traces) -> Matched:
-        """The matches, in order of the radar tracks' numbers.  Raises SettingsError."""
+    def __post_init__(self) -> None:
         for name, ok in (
             ("period_s", self.period_s > 0),
             ("height_limit_m", self.height_limit_m > 0),
             ("threshold", 0 < self.threshold <= 1),
             ("denominator", self.denominator in ("votes", "plots")),
+            ("clusters", self.clusters >= 0),
             ("seed", self.seed >= 0),
         ):
             if not ok:
                 raise SettingsError(f"{name} = {getattr(self, name)} makes no sense", where="k-medoids", remedy="Give another.")
+
+    def __call__(self, radar: Traces, reference: Traces) -> Matched:
+        """The matches, in order of the radar tracks' numbers."""
         rng = np.random.default_rng(self.seed)
         tracks, track = np.unique(radar.track, return_inverse=True)
         targets, target = np.unique(reference.track, return_inverse=True)
@@ -177,7 +182,7 @@ class TrackMatch(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         position = np.concatenate([radar.position[mine], reference.position[theirs]])
         off = position[:, None] - position
         distance = np.sqrt(np.einsum("ijk,ijk->ij", off, off))
-        present = len(np.unique(target[theirs]))
+        present = min(self.clusters or len(np.unique(target[theirs])), len(position))
         label = k_medoids(distance, present, rng).label
         own, of_reference = label[: len(mine)], label[len(mine) :]
         lowest, highest = np.full(present, np.iinfo(np.int64).max), np.full(present, -1)

@@ -73,7 +73,10 @@ def coarse(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names) -> 
                 if compared >= 3 or len(np.unique(units.unit)) < 2 * compared:
                     return named, said
             elif compared:
-                why = f"only {peak.tracks} of them agree on the biases"
+                why = (
+                    f"only {peak.tracks} of them agree on the biases, within ±{3 * scene.window.range_m:.0f} m and "
+                    f"±{np.degrees(3 * scene.window.azimuth_rad):.1f}°"
+                )
                 if _at_edge(peak, scene):
                     why = "the time bias on which they agree lies at the edge of the window or beyond"
                 said.append(f"{scene.sensor.name}: identity pairs {compared} tracks, but {why}")
@@ -248,7 +251,9 @@ def _refusal(
     return NothingToDo(
         f"{because}nothing agrees with the reference better than chance: within ±{searched} the best biases "
         f"explain {peak.score:.1f} of {looked_at} {what}, where spoilt clocks or north explain {chance:.1f}",
-        remedy="Check the radar's position and both clocks; a known clock offset is given as time_offset_s in sensors.toml.",
+        remedy="Check the radar's position and both clocks; a known clock offset is given as time_offset_s in sensors.toml. "
+        "Errors that may be larger are searched farther with the association's range_window_m, azimuth_window_deg and "
+        "time_window_s.",
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +42,10 @@ class Reference:
     start_s: FloatArray
     end_s: FloatArray
     names: identity.Names
+
+    def seen_by(self, view: alignment.Viewer | None) -> Reference:
+        """The same reference as a moving radar sees it; itself where there is no `view`."""
+        return self if view is None else replace(self, trajectories=replace(self.trajectories, view=view))
 
     def nearest_fix(self, target: IntArray, time_s: FloatArray) -> IntArray:
         """The row of the target's fix (m,) that is nearest in time."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from ..errors import SettingsError
 from ..model import Sensor
+from .cluster import TrackMatch
 from .hough import Window
 
 
@@ -22,7 +24,8 @@ class AssociationSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     m/s).  `points` plots of a track are compared, `search_tracks` tracks take part in the search.  Without identity at least
     `min_tracks` tracks must agree. A track without a strong identity needs `min_plots`; it ends after `track_gap_s` without a
     plot.  `clock_search_s` is how far to look for the clock offset to name in a refusal.  `interpolation` and
-    `reference_gap_s` go to `alignment.trajectories`.
+    `reference_gap_s` go to `alignment.trajectories`.  With `matching`, whole tracks are paired by K-medoids (paper 001) in place
+    of identity and search.
 
     Raises SettingsError for values that make no sense.
     """
@@ -42,6 +45,7 @@ class AssociationSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     clock_search_s: float = 5400.0
     interpolation: Literal["nearest", "linear", "cubic", "smooth"] = "smooth"
     reference_gap_s: float | None = None
+    matching: TrackMatch | None = None
 
     def __post_init__(self) -> None:
         for name in ("range_window_m", "azimuth_window_deg", "gate_m", "track_gap_s", "reference_gap_s"):
@@ -54,6 +58,38 @@ class AssociationSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
         ):  # fmt: skip
             if not getattr(self, name) >= least:
                 raise SettingsError(f"{name} = {getattr(self, name)} must be at least {least}", where="association")
+
+
+ASSOCIATIONS = ("hough", "k-medoids")
+"""The ways of association, by the name that an option gives; the first is the default."""
+
+
+def association_of(name: str, options: Mapping[str, str]) -> AssociationSettings:
+    """The settings that a name of `ASSOCIATIONS` and options as text give.
+
+    K-medoids have the options of `TrackMatch` besides those of `AssociationSettings`.  Raises SettingsError for a name, an option
+    or a value that does not exist, with those that do.
+    """
+    if name not in ASSOCIATIONS:
+        raise SettingsError(f"there is no association {name!r}", where="associate", remedy=f"Known: {', '.join(ASSOCIATIONS)}.")
+    own = set(TrackMatch.__struct_fields__) if name == "k-medoids" else set()
+    common = [f for f in AssociationSettings.__struct_fields__ if f != "matching"]
+    known = [*TrackMatch.__struct_fields__, *common] if own else common
+    for option in options:
+        if option not in known:
+            raise SettingsError(
+                f"{name} has no option {option!r}", where="associate-option", remedy=f"It has: {', '.join(known)}."
+            )
+    try:
+        settings = msgspec.convert({k: v for k, v in options.items() if k not in own}, AssociationSettings, strict=False)
+        if not own:
+            return settings
+        match = msgspec.convert({k: v for k, v in options.items() if k in own}, TrackMatch, strict=False)
+    except msgspec.ValidationError as error:
+        if isinstance(error.__cause__, SettingsError):
+            raise error.__cause__ from None
+        raise SettingsError(str(error).replace("$.", ""), where="associate-option", remedy="Example: gate_sd=8.") from None
+    return msgspec.structs.replace(settings, matching=match)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
