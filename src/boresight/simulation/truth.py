@@ -21,11 +21,12 @@ from ..model import pack_callsigns
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
+    from .radar import Adsb
+
 GRAVITY_MPS2 = 9.80665
 FLIGHT_LEVEL_M = 30.48
 STEP_S = 1.0
 _EARTH_M = 6_371_000.0
-_DEGREE = 5  # of the splines: continuous up to the fourth derivative
 
 
 class Airport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -100,6 +101,40 @@ class Aircraft:
     interval_s: FloatArray
 
 
+_AIRLINES = ("IBE", "VLG", "RYR", "AFR", "DLH", "BAW", "EZY", "KLM", "SWR", "TAP")
+
+
+def equip_aircraft(n: int, traffic: Traffic, adsb: Adsb | None, rng: np.random.Generator) -> Aircraft:
+    """Addresses, codes, callsigns and equipment of `n` aircraft.  Exact shares of ADS-B and of its classes, in random order."""
+    names = [
+        f"{_AIRLINES[int(a)]}{int(b)}"
+        for a, b in zip(rng.integers(0, len(_AIRLINES), n), rng.choice(9000, n, replace=False) + 1, strict=True)
+    ]
+    accuracy = np.full(n, -1, np.int64)
+    latency, interval = np.zeros(n), np.full(n, 1.0)
+    if adsb is not None:
+        equipped = rng.permutation(n)[: round(adsb.share * n)]
+        shares = np.array(list(adsb.classes.values()), np.float64)
+        bounds = np.rint(np.cumsum(shares) / shares.sum() * len(equipped)).astype(np.int64)
+        accuracy[equipped] = np.array([int(c) for c in adsb.classes])[
+            np.searchsorted(bounds, np.arange(len(equipped)), side="right")
+        ]
+        latency = adsb.latency_mean_s + adsb.latency_sd_s * rng.normal(0.0, 1.0, n)
+        interval = rng.uniform(*adsb.interval_s, n)
+    return Aircraft(
+        mode_s=rng.choice(0xEFFFFF, n, replace=False) + 1,
+        mode_3a=rng.choice(0o6777, n, replace=False) + 1,
+        callsign=pack_callsigns(names),
+        length_m=rng.choice([28.0, 33.8, 37.6, 39.5, 44.5, 63.7, 73.9], n, p=[0.1, 0.15, 0.35, 0.2, 0.1, 0.07, 0.03]),
+        transponder_delay_m=traffic.delay_sd_m * rng.normal(0.0, 1.0, n),
+        altimetry_m=traffic.altimetry_sd_m * rng.normal(0.0, 1.0, n),
+        altitude_quantum_m=np.where(rng.random(n) < 0.8, 25.0, 100.0) * 0.3048,
+        accuracy=accuracy,
+        latency_s=latency,
+        interval_s=interval,
+    )
+
+
 class Shipping(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How many ships sail off a port, and the shares of what they do; what the shares leave to 1 are pleasure craft.
 
@@ -168,7 +203,8 @@ class Truth:
     """All flights and voyages as functions of time.
 
     `epoch_s` is the scene's begin (UTC); target k exists from `first_s[k]` to `last_s[k]`, seconds after the epoch.  The aircraft
-    come first, then the ships; `headings` are the ships' alone (an aircraft points where it flies).
+    come first, then the ships; `headings` are the ships' alone (an aircraft points where it flies).  `names` are those of
+    scripted targets, empty for all others.
     """
 
     epoch_s: float
@@ -179,6 +215,7 @@ class Truth:
     curves: tuple[BSpline, ...]
     ships: Ships = field(default_factory=no_ships)
     headings: tuple[BSpline, ...] = ()
+    names: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.curves)
@@ -227,6 +264,16 @@ class Truth:
             rows = target == k
             out[rows] = self.headings[k - self.flights](np.clip(seconds[rows], self.first_s[k], self.last_s[k]))
         return out
+
+
+def smooth_curve(seconds: FloatArray, values: FloatArray, degree: int = 5) -> BSpline:
+    """The spline through positions (n, 3), or values (n,), at rising times (n,): what a target's truth is.
+
+    Of the fifth degree it is continuous up to the fourth derivative.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    return make_interp_spline(seconds, values, k=degree)
 
 
 class _Plan(NamedTuple):
@@ -388,6 +435,10 @@ def fly_traffic(
     the atmosphere.  Each takes part for at least a third of its length or of the scene.
     """
     n = traffic.aircraft
+    if not n:
+        return Truth(
+            epoch_s=epoch_s, first_s=np.empty(0), last_s=np.empty(0), aircraft=aircraft, atmosphere=atmosphere, curves=()
+        )  # fmt: skip
     radius = traffic.radius_m
     lat0, lon0 = math.radians(traffic.lat_deg), math.radians(traffic.lon_deg)
 
@@ -460,8 +511,6 @@ def fly_traffic(
     height = atmosphere.geometric_m(level)
     position = ecef_from_geodetic(lat, lon, height)
 
-    from scipy.interpolate import make_interp_spline
-
     length_s = (flown - 1) * STEP_S
     earliest, latest = -0.4 * length_s, np.maximum(duration_s - 0.6 * length_s, -0.35 * length_s)
     start = np.rint(rng.uniform(earliest, latest))
@@ -471,7 +520,7 @@ def fly_traffic(
         first = max(0, int(-start[k] / STEP_S) - 10)
         last = min(int(flown[k]), int((duration_s - start[k]) / STEP_S) + 12)
         when = start[k] + STEP_S * np.arange(first, last)
-        curves.append(make_interp_spline(when, position[k, first:last], k=_DEGREE))
+        curves.append(smooth_curve(when, position[k, first:last]))
     return Truth(
         epoch_s=epoch_s,
         first_s=np.maximum(start, 0.0),
@@ -533,7 +582,7 @@ def sail_shipping(
     )
     points, lasts = _voyages(shipping, trade, speed, duration_s, rng)
     place, heading, sailed = _sail(points, speed, length, lasts, shipping, int(duration_s / STEP_S) + 12)
-    when = STEP_S * np.arange(place.shape[1])
+    when = STEP_S * np.arange(place.shape[1], dtype=np.float64)
     for k in np.flatnonzero(trade == 3):
         turns = when / rng.uniform(500.0, 900.0) + rng.random()
         swing = rng.uniform(0.0, 2 * math.pi) + math.radians(25.0) * np.sin(2 * math.pi * turns)
@@ -545,11 +594,9 @@ def sail_shipping(
     longitude = lon0 + place[:, :, 0] / (_EARTH_M * math.cos(lat0))
     position = ecef_from_geodetic(latitude, longitude, np.full(latitude.shape, shipping.sea_level_m))
 
-    from scipy.interpolate import make_interp_spline
-
     last = np.minimum((sailed - 1) * STEP_S, duration_s)
-    curves = tuple(make_interp_spline(when[: sailed[k]], position[k, : sailed[k]], k=_DEGREE) for k in range(n))
-    headings = tuple(make_interp_spline(when[: sailed[k]], heading[k, : sailed[k]], k=3) for k in range(n))
+    curves = tuple(smooth_curve(when[: sailed[k]], position[k, : sailed[k]]) for k in range(n))
+    headings = tuple(smooth_curve(when[: sailed[k]], heading[k, : sailed[k]], degree=3) for k in range(n))
     return replace(
         truth,
         first_s=np.concatenate([truth.first_s, np.zeros(n)]),
