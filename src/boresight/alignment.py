@@ -8,7 +8,7 @@ target at any time.  METHODS section 6 (heights, reference quality), section 3 (
 from __future__ import annotations
 
 import datetime
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple, TypeVar
@@ -416,7 +416,8 @@ class Trajectories:
     changes at every gap.  Positions, velocities and accelerations (k, 3) are ECEF, `up` the local vertical.  `slow_m2` and
     `white_m2` (k, 2), horizontal and vertical, are the variances of a fix's error that neighbouring fixes share and do not
     share.  By lane: `lane_start` (lanes + 1,), `update_s`, `max_gap_s`, `source`; by target: `first_lane` (targets + 1,),
-    `length_m`.  `target` (n,) is `targets_of` the fixes.  The counts say what was not used, `warnings` say it in words.
+    `length_m`.  `target` (n,) is `targets_of` the fixes.  The counts say what was not used, `warnings` say it in words.  With a
+    `view`, `states` are as a moving radar sees them (`platform.View`): it gets them with their times.
     """
 
     method: str
@@ -444,6 +445,7 @@ class Trajectories:
     jumps: int
     spikes: int
     warnings: tuple[str, ...]
+    view: Viewer | None = None
 
     @property
     def targets(self) -> int:
@@ -466,6 +468,9 @@ class States(NamedTuple):
     length_m: FloatArray
     valid: BoolArray
     source: AnyArray
+
+
+Viewer = Callable[[States, FloatArray], States]
 
 
 def trajectories(fixes: Fixes, *, method: str = "smooth", max_gap_s: float | None = None) -> Trajectories:
@@ -1066,7 +1071,8 @@ def states(trajectories: Trajectories, target: IntArray, time_s: FloatArray) -> 
     known = (target >= 0) & (target < t.targets)
     length = np.where(known & valid, t.length_m[np.where(known, target, 0)], np.nan)
     source = np.where(valid, t.source[np.maximum(lane, 0)], np.int32(-1))
-    return States(position, velocity, acceleration, covariance, heading, length, valid, source)
+    found = States(position, velocity, acceleration, covariance, heading, length, valid, source)
+    return found if t.view is None else t.view(found, time)
 
 
 @kernel
