@@ -101,6 +101,18 @@ def test_heights_apart_are_screened_and_nothing_is_matched_to_nothing() -> None:
     assert (TrackMatch()(radar, later).target == -1).all()
 
 
+def test_a_plot_is_clustered_with_the_nearest_fixes_at_its_height() -> None:
+    """One plot between two targets at its own height, one above and one too late: its cluster is the nearer of the two."""
+    radar = Traces(np.array([[0.0, 0.0, 5e3]]), np.array([5e3]), np.array([10.0]), np.array([7]))
+    where = np.array([[900.0, 0, 5.2e3], [500.0, 0, 5.2e3], [-2e3, 0, 5.1e3], [10.0, 0, 6e3], [10.0, 0, 5e3]])
+    # The first target has two fixes within the scan: the second is the nearer in time.
+    reference = Traces(where, where[:, 2], np.array([7.0, 10.5, 10.0, 10.0, 14.0]), np.array([1, 1, 2, 3, 4]))
+    for clusters, target in ((0, 1), (1, -1), (9, -1)):
+        found = TrackMatch(clusters=clusters)(radar, reference)
+        assert found.target.tolist() == [target]
+        assert found.votes.tolist() == [int(target == 1)]
+
+
 def test_bad_input_is_refused() -> None:
     rng = np.random.default_rng(1)
     with pytest.raises(SettingsError, match="5 clusters of 3 points"):

@@ -16,6 +16,8 @@ from .._types import FloatArray, IntArray
 from ..errors import InputError, SettingsError
 
 _PASSES = 100
+# So many plots are set against all targets at a time.
+_AT_ONCE = 4096
 
 
 class Medoids(NamedTuple):
@@ -113,13 +115,14 @@ class Matched(NamedTuple):
 
 
 class TrackMatch(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag="k-medoids"):
-    """Clusters every scan's points of radar and reference, and lets a radar track's plots vote for the targets that they fall to.
+    """Clusters every radar plot with the reference about it, and lets a track's plots vote for the targets that they fall to.
 
-    `period_s` is the scan, and the screen of time; points further than `height_limit_m` from every point of the other side are
-    screened out.  A plot votes where all reference points of its cluster are of one target.  A track belongs to the target with
-    the most votes where these are at least `threshold` of its votes, or of all its plots: the `denominator` decides everything,
-    and the paper does not say which.  `clusters` is how many a scan is cut into (0: as many as it has targets; never more than
-    it has points).  Raises SettingsError for values that make no sense.
+    With a plot go those targets that have a fix within one scan (`period_s`) and within `height_limit_m` of its height: of each
+    the fix nearest in time, since several fixes of one target would make a cluster of their own.  There are as many clusters as
+    such targets (or `clusters`, if not 0; never more than points), and the plot votes where all reference points of its cluster
+    are of one target.  A track belongs to the target with the most votes where these are at least `threshold` of its votes, or
+    of all its plots: the `denominator` decides everything, and the paper does not say which.  Raises SettingsError for values
+    that make no sense.
     """
 
     period_s: float = 4.0
@@ -143,17 +146,9 @@ class TrackMatch(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     def __call__(self, radar: Traces, reference: Traces) -> Matched:
         """The matches, in order of the radar tracks' numbers."""
-        rng = np.random.default_rng(self.seed)
         tracks, track = np.unique(radar.track, return_inverse=True)
-        targets, target = np.unique(reference.track, return_inverse=True)
-        votes = np.zeros((len(tracks), max(len(targets), 1)), np.int64)
-        if len(radar.time_s) and len(reference.time_s):
-            begin = min(radar.time_s.min(), reference.time_s.min())
-            slot, other = (np.floor((t - begin) / self.period_s).astype(np.int64) for t in (radar.time_s, reference.time_s))
-            for number in np.intersect1d(slot, other):
-                self._vote(
-                    radar, np.flatnonzero(slot == number), track, reference, np.flatnonzero(other == number), target, votes, rng
-                )
+        targets = np.unique(reference.track)
+        votes = self._votes(radar, track, len(tracks), reference)
         plots = np.bincount(track, minlength=len(tracks))
         most, best = votes.max(axis=1), votes.argmax(axis=1)
         given = votes.sum(axis=1) if self.denominator == "votes" else plots
@@ -162,31 +157,38 @@ class TrackMatch(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         named = targets[best] if len(targets) else np.full(len(tracks), -1)
         return Matched(tracks, np.where(found, named, -1), share, votes.sum(axis=1), plots)
 
-    def _vote(
-        self,
-        radar: Traces,
-        mine: IntArray,
-        track: IntArray,
-        reference: Traces,
-        theirs: IntArray,
-        target: IntArray,
-        votes: IntArray,
-        rng: np.random.Generator,
-    ) -> None:
-        """Add the votes of one scan."""
-        apart = np.abs(radar.height_m[mine][:, None] - reference.height_m[theirs])
-        alike = np.isnan(apart) | (apart < self.height_limit_m)
-        mine, theirs = mine[alike.any(axis=1)], theirs[alike.any(axis=0)]
-        if not len(mine) or not len(theirs):
-            return
-        position = np.concatenate([radar.position[mine], reference.position[theirs]])
-        off = position[:, None] - position
-        distance = np.sqrt(np.einsum("ijk,ijk->ij", off, off))
-        present = min(self.clusters or len(np.unique(target[theirs])), len(position))
-        label = k_medoids(distance, present, rng).label
-        own, of_reference = label[: len(mine)], label[len(mine) :]
-        lowest, highest = np.full(present, np.iinfo(np.int64).max), np.full(present, -1)
-        np.minimum.at(lowest, of_reference, target[theirs])
-        np.maximum.at(highest, of_reference, target[theirs])
-        alone = (lowest == highest)[own]
-        np.add.at(votes, (track[mine[alone]], lowest[own[alone]]), 1)
+    def _votes(self, radar: Traces, track: IntArray, tracks: int, reference: Traces) -> IntArray:
+        """How many plots of each track voted for each target (tracks, targets); one column of 0 without targets."""
+        order = np.lexsort((reference.time_s, reference.track))
+        begins = np.flatnonzero(np.diff(reference.track[order], prepend=np.nan))
+        votes = np.zeros((tracks, max(len(begins), 1)), np.int64)
+        if not len(begins):
+            return votes
+        rng = np.random.default_rng(self.seed)
+        for some in np.array_split(np.arange(len(radar.time_s)), len(radar.time_s) // _AT_ONCE + 1):
+            near = np.empty((len(begins), len(some)), np.int64)
+            for k, own in enumerate(np.split(order, begins[1:])):
+                near[k] = own[_nearest_in_time(reference.time_s[own], radar.time_s[some])]
+            apart = np.abs(reference.height_m[near] - radar.height_m[some])
+            alike = np.isnan(apart) | (apart < self.height_limit_m)
+            alike &= np.abs(reference.time_s[near] - radar.time_s[some]) < self.period_s
+            for at, plot in enumerate(some):
+                target = np.flatnonzero(alike[:, at])
+                if not len(target):
+                    continue
+                position = np.concatenate([radar.position[[plot]], reference.position[near[target, at]]])
+                off = position[:, None] - position
+                count = min(self.clusters or len(target), len(position))
+                label = k_medoids(np.sqrt(np.einsum("ijk,ijk->ij", off, off)), count, rng).label
+                own_cluster = target[label[1:] == label[0]]
+                if len(own_cluster) == 1:
+                    votes[track[plot], own_cluster[0]] += 1
+        return votes
+
+
+def _nearest_in_time(given_s: FloatArray, asked_s: FloatArray) -> IntArray:
+    """Of each time asked for (m,) the row of the nearest of those given (n,), which ascend."""
+    after = np.clip(np.searchsorted(given_s, asked_s), 1, max(len(given_s) - 1, 1))
+    before = after - 1
+    last = np.minimum(after, len(given_s) - 1)
+    return np.where(asked_s - given_s[before] <= given_s[last] - asked_s, before, last)
