@@ -330,6 +330,39 @@ def test_what_is_no_covariance_is_refused(covariance: np.ndarray, match: str) ->
         frames.convert(np.zeros((2, 3)), good[None], FLAT, frames.Ecef())
 
 
+@pytest.mark.parametrize("method", [frames.Linear(), frames.SecondOrder(), frames.Automatic()])
+@pytest.mark.parametrize("place", [(0.0, 0.0, 1e4), (60.0, 0.0, 1e4), (250.0, 100.0, 1e4), (0.0, 0.0, 0.0), (100.0, 0.0, 60.0)])
+def test_over_the_radar_and_at_it_directions_are_as_uncertain_as_they_are(method, place: tuple[float, float, float]) -> None:
+    """Against the mean squares of 200,000 positions: where the linear rule says that nothing is uncertain, or everything."""
+    value, covariance = np.array([place]), np.diag([100.0, 60.0, 50.0])[None] ** 2
+    mapped, spread = frames.convert(value, covariance, frames.Ecef(), FLAT, method=method)
+    draws = np.random.default_rng(1).multivariate_normal(value[0], covariance[0], 200_000)
+    off = measure.polar_from_enu(draws) - mapped
+    off[:, 1] = measure.wrap_rad(off[:, 1])
+    expected = (off**2).mean(axis=0)
+    expected[1] = min(expected[1], np.pi**2 / 3)
+    assert np.diagonal(spread[0]) == pytest.approx(expected, rel=0.25)
+    assert np.linalg.eigvalsh(spread[0]).min() > 0
+
+
+def test_a_position_exactly_overhead_has_any_azimuth_however_well_it_is_known() -> None:
+    value = np.array([[0.0, 0.0, 8000.0], [3.0, 0.0, 8000.0]])
+    for sd in (0.0, 1e-3, 10.0):
+        _, spread = frames.convert(value, np.broadcast_to(np.eye(3) * sd**2, (2, 3, 3)), frames.Ecef(), FLAT)
+        assert spread[0, 1, 1] == pytest.approx(np.pi**2 / 3)
+        assert (spread[0, 1, [0, 2]] == 0).all()
+        # Three metres aside, known to a millimetre, it has one.
+        if sd < 1:
+            assert spread[1, 1, 1] == pytest.approx((sd / 3) ** 2, rel=1e-6)
+
+
+def test_correlations_that_contradict_each_other_are_refused() -> None:
+    """Each of the three is below 1, and no three errors have them."""
+    bad = np.array([[1.0, 0.9, 0.9], [0.9, 1.0, -0.9], [0.9, -0.9, 1.0]])
+    with pytest.raises(SettingsError, match="row 1 is not positive semidefinite"):
+        frames.convert(np.full((2, 3), 0.5), np.stack([np.abs(bad), bad]), FLAT, frames.Ecef())
+
+
 def test_a_plot_that_is_not_a_number_stays_alone() -> None:
     value = np.array([[1e4, 1.0, 0.1], [np.nan, 1.0, 0.1], [1e4, 1.0, 0.1]])
     covariance = np.broadcast_to(np.diag([10.0, 1e-3, 1e-3]) ** 2, (3, 3, 3)).copy()

@@ -34,6 +34,12 @@ TRACK_LIMIT = 0.05
 """`nonlinearity` up to which the plots of a filter may be converted by `Linear` (60 plots at 0.197 have a NEES of 3.92)."""
 _CHUNK = 1 << 15
 _PIECE = 1 << 11
+# Nearer to the axis there is no azimuth (m).
+_AXIS_M = 1e-2
+# The mean square of any azimuth about one.
+_ANY_AZIMUTH_RAD2 = np.pi**2 / 3
+# An even number of nodes an axis: none lies on the vertical, where azimuth jumps.
+_NODES = 14
 
 
 class Frame(Protocol):
@@ -160,21 +166,31 @@ class Method(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """First order: the mapped value, and R2 = J R1 J' with J at the value given (paper 004 eqs. 9 to 13)."""
+    """First order: the mapped value, and R2 = J R1 J' with J at the value given (paper 004 eqs. 9 to 13).
+
+    Towards a polar frame, what lies over the radar or at it no further than its own spread has no derivative that means anything:
+    its covariance is then that of the directions that the spread allows, up to pi^2 / 3 of an azimuth of which nothing is known.
+    """
 
     def __call__(self, value: FloatArray, covariance: FloatArray, source: Frame, target: Frame) -> tuple[FloatArray, FloatArray]:
         """The values (n, 3) and covariances (n, 3, 3) in the target frame."""
         if isinstance(source, Polar) and isinstance(target, Ecef) and np.shape(source.site) == (3,):
             return _polar_to_ecef(value, covariance, source)
         mapped, jacobian = route(source, target)(value)
-        return mapped, propagate(jacobian, covariance)
+        spread = propagate(jacobian, covariance)
+        if isinstance(target, Polar):
+            rows = _overhead(mapped, spread)
+            if rows.any():
+                spread[rows] = _directions(value[rows], covariance[rows], at_rows(source, rows), at_rows(target, rows))
+        return mapped, spread
 
 
 @dataclass(frozen=True, slots=True)
 class SecondOrder:
     """Second order: the mean moves by half the curvature, and the covariance gains half the curvature's square.
 
-    Paper 004 eqs. 20 to 22 for normal errors: ``f + tr(H R) / 2`` and ``J R J' + tr(H_i R H_j R) / 2``.
+    Paper 004 eqs. 20 to 22 for normal errors: ``f + tr(H R) / 2`` and ``J R J' + tr(H_i R H_j R) / 2``.  Over a radar and at it,
+    as `Linear`.
     """
 
     def __call__(self, value: FloatArray, covariance: FloatArray, source: Frame, target: Frame) -> tuple[FloatArray, FloatArray]:
@@ -192,7 +208,15 @@ class SecondOrder:
         curve = (curve + np.swapaxes(curve, 2, 3)) / 2
         mean = mapped + np.trace(curve, axis1=2, axis2=3) / 2
         more = np.einsum("nabc,ndbc->nad", curve, curve) / 2
-        return mean, propagate(jacobian, covariance) + (more + np.swapaxes(more, 1, 2)) / 2
+        linear = propagate(jacobian, covariance)
+        spread = linear + (more + np.swapaxes(more, 1, 2)) / 2
+        if isinstance(target, Polar):
+            # Where there is no derivative there is no curvature either.
+            rows = _overhead(mapped, linear)
+            if rows.any():
+                mean[rows] = mapped[rows]
+                spread[rows] = _directions(value[rows], covariance[rows], at_rows(source, rows), at_rows(target, rows))
+        return mean, spread
 
 
 @dataclass(frozen=True, slots=True)
@@ -360,6 +384,45 @@ def route(source: Frame, target: Frame) -> Map:
     return forward
 
 
+def _overhead(mapped: FloatArray, spread: FloatArray) -> BoolArray:
+    """Which polar values (n, 3) with `spread` by the linear rule lie so near the axis, or the radar, that the rule fails (n,)."""
+    level = np.cos(mapped[:, 2])
+    # Three standard deviations, along each of the axes, from a place where directions turn over.
+    over = (spread[:, 0, 0] > mapped[:, 0] ** 2 / 9) | (spread[:, 1, 1] > 1 / 9) | (spread[:, 2, 2] > level**2 / 9)
+    return np.asarray(over | (mapped[:, 0] * level < _AXIS_M))
+
+
+def _directions(value: FloatArray, covariance: FloatArray, source: Frame, target: Polar) -> FloatArray:
+    """Covariance (n, 3, 3) of range, azimuth, elevation about `target` where a spread reaches over the radar, or holds it.
+
+    Mean squares about the mapped value over a normal position, by Gauss and Hermite's rule; an azimuth's no larger than that of
+    any, which it is where even the spread does not tell a direction.
+    """
+    node, weight = np.polynomial.hermite_e.hermegauss(_NODES)
+    node, weight = np.stack(np.meshgrid(node, node, node, indexing="ij"), axis=-1).reshape(-1, 3), weight / weight.sum()
+    weight = np.einsum("i,j,k->ijk", weight, weight, weight).ravel()
+    position, outward = source.to_ecef(value)
+    enu = rotate(target.rotation, position - target.site)
+    root = _root(propagate(target.rotation @ outward, covariance))
+    mapped = polar_from_enu(enu)
+    out = np.empty((len(value), 3, 3))
+
+    def piece(rows: slice) -> None:
+        off = polar_from_enu(enu[rows, None] + node @ np.swapaxes(root[rows], 1, 2)) - mapped[rows, None]
+        off[..., 1] = wrap_rad(off[..., 1])
+        spread = np.swapaxes(off, 1, 2) @ (off * weight[:, None])
+        lost = np.hypot(enu[rows, 0], enu[rows, 1]) < _AXIS_M
+        spread[lost, 1, :2] = spread[lost, :2, 1] = spread[lost, 1, 2] = spread[lost, 2, 1] = 0.0
+        fade = np.sqrt(np.minimum(_ANY_AZIMUTH_RAD2 / np.maximum(spread[:, 1, 1], 1e-300), 1.0))
+        spread[:, 1] *= fade[:, None]
+        spread[:, :, 1] *= fade[:, None]
+        spread[lost, 1, 1] = _ANY_AZIMUTH_RAD2
+        out[rows] = (spread + np.swapaxes(spread, 1, 2)) / 2
+
+    in_threads(piece, slices(len(value), _PIECE >> 5))
+    return out
+
+
 _LINEAR = Linear()
 
 
@@ -371,7 +434,7 @@ def convert(
     Units are each frame's own (metres; metres and radians).  Covariances come out exactly symmetric.  Values (n, 2) with
     covariances (n, 2, 2) have no third coordinate: it is zero and exactly known, and is left out of the result again.  A value
     that is not a number gives no number.  Raises SettingsError for shapes that do not fit and for covariances that are none
-    (not symmetric, a negative variance, a correlation beyond 1), with the row.
+    (not symmetric, a negative variance, a correlation beyond 1, a negative variance in another direction), with the row.
     """
     value, covariance = np.asarray(value, np.float64), np.asarray(covariance, np.float64)
     n, d = value.shape if value.ndim == 2 else (0, 0)
@@ -394,7 +457,10 @@ def convert(
     return mapped[:, :d], spread[:, :d, :d]
 
 
-_FAULTS = ("has a negative variance", "is not symmetric", "holds a correlation beyond 1", "is infinite")
+_FAULTS = (
+    "has a negative variance", "is not symmetric", "holds a correlation beyond 1", "is infinite",
+    "is not positive semidefinite: its correlations contradict each other",
+)  # fmt: skip
 
 
 def _check_covariance(covariance: FloatArray) -> None:
@@ -426,6 +492,11 @@ def _first_fault(covariance: FloatArray) -> tuple[int, int]:
         for i in range(covariance.shape[1]):
             if np.isinf(covariance[k, i, i]):
                 return k, 3
+        if covariance.shape[1] == 3:
+            a, b, c = covariance[k, 0, 0], covariance[k, 1, 1], covariance[k, 2, 2]
+            d, e, f = covariance[k, 0, 1], covariance[k, 0, 2], covariance[k, 1, 2]
+            if a * b * c + 2 * d * e * f - a * f * f - b * e * e - c * d * d < -1e-8 * a * b * c:
+                return k, 4
     return -1, 0
 
 

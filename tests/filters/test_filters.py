@@ -169,6 +169,10 @@ def test_covariances_stay_symmetric_positive_definite(gaps, sd, jump, axes, whic
         (lambda a: a["time_s"].__setitem__(3, np.nan), "a time is not a number"),
         (lambda a: a["r"].__setitem__((1, 4), np.zeros((2, 2))), "measurement 4 of target 1 is not symmetric with positive"),
         (lambda a: a["r"].__setitem__((1, 4, 0, 1), 1e3), "measurement 4 of target 1 is not symmetric"),
+        (
+            lambda a: a["r"].__setitem__((1, 4), [[1.0, 2.0], [2.0, 1.0]]),
+            "measurement 4 of target 1 holds a correlation beyond 1",
+        ),
         (lambda a: a.update(z=a["z"][:, :, :1]), "do not fit"),
     ],
 )
@@ -181,3 +185,42 @@ def test_measurements_that_make_no_sense_are_refused(change, match: str) -> None
         kalman_filter(**arguments, motion=ConstantVelocity(), start=start)
     with pytest.raises(SettingsError, match=match):
         imm_filter(**arguments, method=Imm(models=(ConstantVelocity(), CoordinatedTurn(rate_deg_s=1.0))), start=start)
+
+
+def test_a_measurement_whose_correlations_contradict_each_other_is_refused() -> None:
+    z, time_s = np.zeros((2, 4, 3)), np.arange(4.0)
+    r = np.broadcast_to(np.eye(3), (2, 4, 3, 3)).copy()
+    r[1, 2] = [[1.0, 0.9, 0.9], [0.9, 1.0, -0.9], [0.9, -0.9, 1.0]]
+    start = one_point(z[:, 0], r[:, 0], 6, 100.0)
+    with pytest.raises(SettingsError, match="measurement 2 of target 1 is not positive semidefinite"):
+        kalman_filter(z, r, time_s, ConstantVelocity(), start)
+    # What is not measured needs no covariance.
+    z[1, 2] = np.nan
+    assert np.isfinite(kalman_filter(z, r, time_s, ConstantVelocity(), start).mean).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (lambda x, p: x.__setitem__((2, 1), np.nan), "start of target 2 is not a number"),
+        (lambda x, p: p.__setitem__((2, 3, 3), -1.0), "start of target 2 has a covariance that is not symmetric with variances"),
+        (
+            lambda x, p: p.__setitem__((2, 3, 3), np.inf),
+            "start of target 2 has a covariance that is not symmetric with variances",
+        ),
+        (lambda x, p: p.__setitem__((2, 0, 2), 1.0), "start of target 2 has a covariance that is not symmetric"),
+        (lambda x, p: p.__setitem__((2, [0, 2], [2, 0]), 1e6), "start of target 2 has a covariance that holds a correlation"),
+        (lambda x, p: p.__setitem__(2, np.full((4, 4), -0.9) + 1.9 * np.eye(4)), "start of target 2 has .* not positive semidef"),
+    ],
+)
+def test_starts_that_make_no_sense_are_refused(change, match: str) -> None:
+    z, r, time_s = _scene(2, 5)
+    x, p = one_point(z[:, 0], r[:, 0], 4, 200.0)
+    # Exactly known coordinates, and rounding, are a start like others.
+    p[0, 3, 3], p[1, 0, 1], p[1, 1, 0] = 0.0, *2 * [np.sqrt(p[1, 0, 0] * p[1, 1, 1])]
+    kalman_filter(z, r, time_s, ConstantVelocity(), (x, p))
+    change(x, p)
+    with pytest.raises(SettingsError, match=match):
+        kalman_filter(z, r, time_s, ConstantVelocity(), (x, p))
+    with pytest.raises(SettingsError, match=match):
+        imm_filter(z, r, time_s, Imm(models=(ConstantVelocity(), CoordinatedTurn(rate_deg_s=1.0))), (x, p))

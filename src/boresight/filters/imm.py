@@ -431,8 +431,8 @@ def imm_filter(
     """Interacting models over positions `z` (n, K, k) with covariances `r` (n, K, k, k) at `time_s` (K,).
 
     Arguments as for `kalman.kalman_filter`.  `probability` has one column a model; for `ExpectedMode` one a slot of the group, in
-    order of the rates, and the expected mode last.  `keep` keeps each model's states.  Raises SettingsError for settings, shapes
-    or times that make no sense.
+    order of the rates, and the expected mode last.  `keep` keeps each model's states.  Raises SettingsError for settings, shapes,
+    times or covariances that make no sense.
     """
     fan, group, expected, motions = _settings(method)
     count = group + expected

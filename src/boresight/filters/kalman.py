@@ -219,7 +219,8 @@ def kalman_filter(
 
     n targets or Monte Carlo runs share the times; NaN positions are times without a measurement.  `start` is the state (n, d) and
     its covariance (n, d, d) at measurement number `first`, which is not taken in again; before it all results are NaN.  Axes and
-    state as in `motion`: k = 2 or 3.  Raises SettingsError for shapes that do not fit and times that go backwards.
+    state as in `motion`: k = 2 or 3.  Raises SettingsError for shapes that do not fit, times that go backwards, and covariances
+    that are none, of a measurement or of the start.
     """
     z, r, time_s, x, p = check(z, r, time_s, start, first, size([motion], z.shape[-1] if np.ndim(z) == 3 else 3))
     d = x.shape[1]
@@ -270,22 +271,82 @@ def check(
     back = np.flatnonzero(np.diff(time_s) < 0)
     if len(back):
         raise refuse(f"time goes backwards at measurement {int(back[0]) + 1}", "Sort the measurements by time.")
-    row, step = _first_fault(z, r)
+    row, step, what = _first_fault(z, r)
     if row >= 0:
         raise refuse(
-            f"the covariance of measurement {step} of target {row} is not symmetric with positive variances",
+            f"the covariance of measurement {step} of target {row} {_FAULTS[what]}",
             "Give the measurement's covariance in the filter's axes, metres squared.",
         )
+    check_start(x, p)
     return z, r, time_s, x, p
 
 
+_FAULTS = (
+    "is not symmetric with positive variances",
+    "holds a correlation beyond 1",
+    "is not positive semidefinite: its correlations contradict each other",
+)
+
+
+def check_start(x: FloatArray, p: FloatArray) -> None:
+    """Raise SettingsError, naming the target, for a start (n, d) that is no number or whose covariance (n, d, d) is none."""
+    bad = np.flatnonzero(~np.isfinite(x).all(axis=1))
+    row, what = (int(bad[0]), -1) if len(bad) else _first_start(p)
+    if row >= 0:
+        fault = "is not a number" if what < 0 else f"has a covariance that {_START_FAULTS[what]}"
+        raise SettingsError(
+            f"the start of target {row} {fault}", where="filter", remedy="Give a state and its covariance, as one_point does."
+        )
+
+
+_START_FAULTS = (
+    "is not symmetric with variances of 0 or more",
+    "holds a correlation beyond 1",
+    "is not positive semidefinite: its correlations contradict each other",
+)
+
+
 @kernel
-def _first_fault(z: FloatArray, r: FloatArray) -> tuple[int, int]:
-    """The first row and step whose position is given and whose covariance is none; (-1, -1) if all are."""
+def _first_start(p: FloatArray) -> tuple[int, int]:
+    """The first of the covariances (n, d, d) that is none, and which of `_START_FAULTS` it has; (-1, 0) if all are."""
+    n, d = p.shape[0], p.shape[1]
+    size, low = np.zeros(d), np.zeros((d, d))
+    for row in range(n):
+        for i in range(d):
+            if not (p[row, i, i] >= 0 and np.isfinite(p[row, i, i])):
+                return row, 0
+            size[i] = np.sqrt(p[row, i, i])
+            for j in range(i):
+                one, limit = p[row, i, j], size[i] * size[j]
+                if not (abs(one - p[row, j, i]) <= 1e-9 * limit):
+                    return row, 0
+                if abs(one) > (1 + 1e-6) * limit:
+                    return row, 1
+        # Cholesky of the correlations, a little more on the diagonal: what rounding does to a filter's own result is forgiven.
+        for i in range(d):
+            for j in range(i + 1):
+                limit = size[i] * size[j]
+                s = p[row, i, j] / limit if limit > 0 else 0.0
+                if i == j:
+                    s = 1.0 + 1e-6
+                for h in range(j):
+                    s -= low[i, h] * low[j, h]
+                if i > j:
+                    low[i, j] = s / low[j, j]
+                elif s <= 0:
+                    return row, 2
+                else:
+                    low[i, i] = np.sqrt(s)
+    return -1, 0
+
+
+@kernel
+def _first_fault(z: FloatArray, r: FloatArray) -> tuple[int, int, int]:
+    """The first row and step whose position is given and whose covariance is none, and which of `_FAULTS` (-1, -1, 0: none)."""
     k = z.shape[2]
     for row in range(z.shape[0]):
         for step in range(z.shape[1]):
-            given, good = True, True
+            given, good, whole = True, True, True
             for i in range(k):
                 given = given and np.isfinite(z[row, step, i])
                 good = good and r[row, step, i, i] > 0 and np.isfinite(r[row, step, i, i])
@@ -293,9 +354,19 @@ def _first_fault(z: FloatArray, r: FloatArray) -> tuple[int, int]:
                     one, other = r[row, step, i, j], r[row, step, j, i]
                     size = r[row, step, i, i] * r[row, step, j, j]
                     good = good and (one == other or (one - other) ** 2 <= 1e-18 * size) and np.isfinite(one)
-            if given and not good:
-                return row, step
-    return -1, -1
+                    whole = whole and one * one <= (1 + 1e-9) * size
+            if not given:
+                continue
+            if not good:
+                return row, step, 0
+            if not whole:
+                return row, step, 1
+            if k == 3:
+                a, b, c = r[row, step, 0, 0], r[row, step, 1, 1], r[row, step, 2, 2]
+                d, e, f = r[row, step, 1, 0], r[row, step, 2, 0], r[row, step, 2, 1]
+                if a * b * c + 2 * d * e * f - a * f * f - b * e * e - c * d * d < -1e-8 * a * b * c:
+                    return row, step, 2
+    return -1, -1, 0
 
 
 # ------------------------------------------------------------------------------------------------------------------- the start

@@ -29,7 +29,7 @@ from ..frames import Automatic, Enu, Polar, convert
 from ..geodesy import E2, SEMI_MAJOR_M, SEMI_MINOR_M, geodetic_from_ecef, height_and_up, rotate, rotate_back
 from ..measure import polar_from_position, position_from_height, position_from_polar
 from .imm import Imm, Mixed, changes, combine, combined_spread, fill_change, mix, weigh
-from .kalman import Filtered, _accelerate, predict
+from .kalman import Filtered, _accelerate, check_start, predict
 from .motion import PARAMETER, TURN, Motion, fill, size, table, vertical
 
 COMPONENTS = ("range", "azimuth", "elevation", "height", "range_rate")
@@ -731,4 +731,5 @@ def _check(
             f"the covariance of plot {step} of target {row} is not symmetric with positive variances",
             "Give variances of what was measured, in metres, radians and metres a second, squared.",
         )
+    check_start(x, p)
     return z, r, time_s, radar, k
