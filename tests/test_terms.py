@@ -152,6 +152,28 @@ def test_rotations_turn_the_picture_by_the_right_hand_rule(place: tuple[float, .
     close(TERMS[name].columns(seen(place)), difference(*turned) / (2 * h) * [0, 1, 1], 1.0, 1e-6)
 
 
+@given(
+    places,
+    st.sampled_from(
+        [
+            ("stretch_east", (0, 0)), ("stretch_north", (1, 1)), ("stretch_up", (2, 2)), ("shear_east_north", (0, 1)),
+            ("shear_east_up", (0, 2)), ("shear_north_up", (1, 2)),
+        ]
+    ),
+)  # fmt: skip
+def test_stretch_and_shear_distort_the_picture_symmetrically(place: tuple[float, ...], term: tuple[str, tuple[int, int]]) -> None:
+    """Measured is p + S p; away from the pole over the antenna, where azimuths have no derivative."""
+    p = enu(*place[:3])
+    name, (i, j) = term
+    strain = np.zeros((3, 3))
+    strain[i, j] = strain[j, i] = 1.0
+    h = 1e-6
+    physical = difference(p + h * p @ strain, p - h * p @ strain) / (2 * h)
+    # Per kilometre of range.
+    close(TERMS[name].columns(seen(place)) / place[0], physical / place[0], place[0], 1e-5)
+    assert TERMS[name].si_per_unit * 1000 == 1
+
+
 def test_refraction_is_the_path_through_thinning_air() -> None:
     """Against adaptive quadrature, and the figures of METHODS section 6: 35 m at 200 km and flight level 360 for 315 ppm."""
     for r, e in ((2e5, np.arcsin((10973 - 200e3**2 / 2 / 6371e3) / 200e3)), (4e5, 0.002), (50e3, 0.2), (12e3, 1.5), (1e3, -0.05)):

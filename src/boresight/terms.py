@@ -136,6 +136,22 @@ def _displace(g: Geometry, east: FloatArray | float, north: FloatArray | float, 
     return _stack(along * cos_e + up * sin_e, across / (far * _cos(g)), (up * cos_e - along * sin_e) / far, g)
 
 
+def _strain(g: Geometry, stretch: tuple[int, int, int], shear: tuple[int, int, int]) -> FloatArray:
+    """A linear, symmetric distortion of the picture about the antenna: what an affine map has beside shift and turn.
+
+    The displacement is S p of the target's place p, east, north, up; `stretch` is the diagonal of S, `shear` its elements east-north,
+    east-up and north-up.
+    """
+    flat = g.range_m * np.cos(g.elevation_rad)
+    east, north, up = flat * np.sin(g.azimuth_rad), flat * np.cos(g.azimuth_rad), g.range_m * np.sin(g.elevation_rad)
+    return _displace(
+        g,
+        stretch[0] * east + shear[0] * north + shear[1] * up,
+        shear[0] * east + stretch[1] * north + shear[2] * up,
+        shear[1] * east + shear[2] * north + stretch[2] * up,
+    )
+
+
 def _along_heading(g: Geometry) -> FloatArray:
     known = np.isfinite(g.heading_rad)
     heading = np.where(known, g.heading_rad, 0.0)
@@ -281,6 +297,18 @@ _LIST = (
         "the picture is turned about the vertical, by the right-hand rule (anticlockwise): minus azimuth_bias",
     ),
     Term(
+        "stretch_east", "m/km", 1e-3, 1e-2, _NONE, lambda g: _strain(g, (1, 0, 0), (0, 0, 0)),
+        "the picture is stretched along the east axis: a target this far east of the antenna is seen further east in proportion",
+    ),
+    Term("stretch_north", "m/km", 1e-3, 1e-2, _NONE, lambda g: _strain(g, (0, 1, 0), (0, 0, 0)), "the same along the north axis"),
+    Term("stretch_up", "m/km", 1e-3, 1e-2, _NONE, lambda g: _strain(g, (0, 0, 1), (0, 0, 0)), "the same along the vertical"),
+    Term(
+        "shear_east_north", "m/km", 1e-3, 1e-2, _NONE, lambda g: _strain(g, (0, 0, 0), (1, 0, 0)),
+        "the picture is sheared: what lies north is seen further east, and what lies east as much further north, without a turn",
+    ),
+    Term("shear_east_up", "m/km", 1e-3, 1e-2, _NONE, lambda g: _strain(g, (0, 0, 0), (0, 1, 0)), "the same between east and up"),
+    Term("shear_north_up", "m/km", 1e-3, 1e-2, _NONE, lambda g: _strain(g, (0, 0, 0), (0, 0, 1)), "the same between north and up"),
+    Term(
         "along_heading", "m", 1.0, 30.0, frozenset({"heading"}), _along_heading,
         "the echo lies ahead of the reference's antenna along the target's heading",
     ),
@@ -349,6 +377,13 @@ ALIASES: tuple[Alias, ...] = (
         "in a sector harmonics look like a bias; the table leaves them out only over the full circle",
     ),
     Alias(("range_bias", "range_gain", "range_refraction", "range_table"), False, "the table leaves out only a mean and a slope"),
+    Alias(
+        ("range_gain", "stretch_east", "stretch_north"), False,
+        "east and north stretched alike is all but a gain of the range: low targets do not tell the two",
+    ),
+    Alias(("stretch_up", "elevation_bias", "site_up"), False, "low targets hardly show what happens to their height"),
+    Alias(("shear_east_up", "rotation_north"), False, "at low elevations a shear to the vertical is a tilt"),
+    Alias(("shear_north_up", "rotation_east"), False, "at low elevations a shear to the vertical is a tilt"),
     Alias(("time_offset", "along_heading", "along_heading_per_length"), False, "both move plots along the track, at one speed alike"),
     Alias(("time_offset", "clock_drift"), False, "in a short recording a drift is an offset"),
     Alias(("azimuth_lag", "elevation_lag", "range_lag", "time_offset"), False, "on a steady turn a lag is in proportion to the rate"),

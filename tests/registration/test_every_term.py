@@ -27,7 +27,9 @@ TRUE = {
     "elevation_bias": 0.1, "elevation_sag": 0.15, "elevation_refraction": 0.02, "tilt_north": 0.1, "tilt_east": -0.1,
     "time_offset": 0.4, "clock_drift": 600.0, "range_lag": 40.0, "azimuth_lag": 60.0, "elevation_lag": 100.0,
     "range_jerk": 800.0, "azimuth_jerk": 800.0, "elevation_jerk": 1500.0, "site_east": 60.0, "site_north": -50.0,
-    "site_up": 80.0, "rotation_east": 0.1, "rotation_north": 0.1, "rotation_up": 0.2, "along_heading": -30.0,
+    "site_up": 80.0, "rotation_east": 0.1, "rotation_north": 0.1, "rotation_up": 0.2, "stretch_east": 1.0,
+    "stretch_north": -1.0, "stretch_up": 30.0, "shear_east_north": 0.5, "shear_east_up": 2.0, "shear_north_up": 2.0,
+    "along_heading": -30.0,
     "along_heading_per_length": -0.6, "transponder_delay": 20.0,
 }  # fmt: skip
 # Somewhere, for columns that ask the range alone.

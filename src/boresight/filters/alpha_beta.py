@@ -62,3 +62,35 @@ def alpha_beta_filter(z: FloatArray, time_s: FloatArray, gains: AlphaBeta, veloc
         out[:, step, :k] = position
         out[:, step, k:] = np.where(np.isnan(position), np.nan, speed)
     return out
+
+
+def alpha_beta_covariance(variance: FloatArray, time_s: FloatArray, gains: AlphaBeta) -> FloatArray:
+    """What noise does to the states of `alpha_beta_filter`: covariances (n, K, 2, 2) of one position and its rate.
+
+    `variance` (n, K) is that of each position, NaN where there is none.  The rate that the filter starts with counts as known,
+    and what changes faster than the gains follow is not in it.  At even steps the position's settles at Kalata's
+    sigma^2 (2 alpha^2 + beta (2 - 3 alpha)) / (alpha (4 - 2 alpha - beta)).
+    """
+    variance, time_s = np.asarray(variance, np.float64), np.asarray(time_s, np.float64)
+    n, steps = variance.shape
+    out = np.full((n, steps, 2, 2), np.nan)
+    p, last = np.full((n, 2, 2), np.nan), np.full(n, np.nan)
+    for step in range(steps):
+        given: BoolArray = np.isfinite(variance[:, step])
+        if step:
+            forward = np.array([[1.0, time_s[step] - time_s[step - 1]], [0.0, 1.0]])
+            p = forward @ p @ forward.T
+        begins = given & np.isnan(last)
+        p[begins] = 0.0
+        p[begins, 0, 0] = variance[begins, step]
+        goes_on = given & ~begins
+        since = time_s[step] - last[goes_on]
+        gain = np.stack(
+            [np.full(len(since), gains.alpha), np.where(since > 0, gains.beta / np.where(since > 0, since, 1.0), 0.0)]
+        )
+        left = np.eye(2) - gain.T[:, :, None] * np.array([1.0, 0.0])
+        noise = gain.T[:, :, None] * gain.T[:, None] * variance[goes_on, step][:, None, None]
+        p[goes_on] = left @ p[goes_on] @ np.swapaxes(left, 1, 2) + noise
+        last[given] = time_s[step]
+        out[:, step] = p
+    return out

@@ -44,7 +44,7 @@ _FOLDS = 5
 _ROUNDS = 3
 
 
-class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class LeastSquares(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag="least-squares"):
     """Settings of the joint robust least squares.
 
     A pair keeps its full weight up to `soft_sd` standard deviations and has none beyond `hard_sd`.  Two terms whose estimates
@@ -318,6 +318,11 @@ def _kind(seen: Observed) -> _Kind:
         top = tuple(e._replace(sd=delay) if e.term == "range_bias" else e for e in levels[-1])
         levels = (*levels[:-1], top)
     return kind._replace(noise=noise, levels=levels)
+
+
+def typical_own(seen: Observed) -> dict[str, float]:
+    """How much the errors that a target keeps for itself typically differ between targets (sd, SI), by the term they act as."""
+    return {effect.term: effect.sd for effect in _kind(seen).levels[-1]}
 
 
 def _delay_sd_m(seen: Observed) -> float | None:

@@ -21,7 +21,7 @@ _FEW_TRACKS = 12
 _LEAST = 4
 _NORMAL_SD_PER_MAD = 1.4826
 # Positions are counted from the radar in units of so many metres, so that the entries of a transform are of one size.
-_SCALE_M = 50e3
+SCALE_M = 50e3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,4 +197,4 @@ class KalmanTransform(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
 
 def _regressor(measured: FloatArray) -> FloatArray:
-    return np.concatenate([measured / _SCALE_M, np.ones((len(measured), 1))], axis=1)
+    return np.concatenate([measured / SCALE_M, np.ones((len(measured), 1))], axis=1)

@@ -24,6 +24,8 @@ from ..terms import Geometry, Term, Whose, late_s, order_of
 
 # Rows that are worked on at a time: large enough for NumPy, small enough for the memory.
 CHUNK = 1 << 15
+# One value a term, or where errors change with time one (n,) for the rows.
+Values = FloatArray | Sequence[FloatArray]
 _BY_ROW = (
     "row", "enu", "velocity", "acceleration", "measured", "reference_variance", "heading_rad", "length_m", "time_s", "weight",
     "cluster", "channel", "flags", "source",
@@ -182,9 +184,9 @@ def take(seen: Observed, rows: IntArray) -> Observed:
     return replace(seen, **{name: getattr(seen, name)[rows] for name in _BY_ROW})
 
 
-def late(seen: Observed, rows: slice | IntArray, terms: Sequence[Term], value: FloatArray) -> FloatArray | None:
+def late(seen: Observed, rows: slice | IntArray, terms: Sequence[Term], value: Values) -> FloatArray | None:
     """Stamp minus true time, (n, 1) s, at the error values (p,); None where it is nothing."""
-    if not any(t.is_time and v != 0 for t, v in zip(terms, value, strict=True)):
+    if not any(t.is_time and np.any(v != 0) for t, v in zip(terms, value, strict=True)):
         return None
     return late_s(terms, value, seen.time_s[rows], whose(seen, rows))[:, None]
 
@@ -209,7 +211,7 @@ def geometry(seen: Observed, rows: slice | IntArray, before: FloatArray | None, 
 
 
 def look(
-    seen: Observed, rows: slice | IntArray, terms: Sequence[Term], value: FloatArray, also: Sequence[Term] = ()
+    seen: Observed, rows: slice | IntArray, terms: Sequence[Term], value: Values, also: Sequence[Term] = ()
 ) -> tuple[Geometry, FloatArray, dict[str, FloatArray]]:
     """Geometry, residuals (n, 3) at the error values (p,), SI, and the columns (n, 3) of the terms and `also` of others, by name.
 
@@ -220,8 +222,8 @@ def look(
     columns = {term.name: term.columns(place) for term in [*terms, *also]}
     residual = seen.measured[rows] - np.stack([place.range_m, place.azimuth_rad, place.elevation_rad], axis=1)
     for term, v in zip(terms, value, strict=True):
-        if not term.is_time and v != 0:
-            residual -= columns[term.name] * v
+        if not term.is_time and np.any(v != 0):
+            residual -= columns[term.name] * np.asarray(v)[..., None]
     residual[:, 1] = wrap_rad(residual[:, 1])
     return place, residual, columns
 
@@ -234,18 +236,18 @@ def linearise(
     return place, residual, np.stack([columns[term.name] for term in terms], axis=2)
 
 
-def distances(seen: Observed, rows: slice | IntArray, terms: Sequence[Term], value: FloatArray) -> FloatArray:
+def distances(seen: Observed, rows: slice | IntArray, terms: Sequence[Term], value: Values) -> FloatArray:
     """Horizontal distance (n,), metres, of the corrected plots from the reference, put at the reference's height.
 
     NaN where the slant range is too short for that height.
     """
     before = late(seen, rows, terms, value)
     # What a late stamp does is in the motion: its own column is not needed.
-    others = [(t, v) for t, v in zip(terms, value, strict=True) if not t.is_time and v != 0]
+    others = [(t, v) for t, v in zip(terms, value, strict=True) if not t.is_time and np.any(v != 0)]
     place = geometry(seen, rows, before, order_of([t for t, _ in others]))
     residual = seen.measured[rows] - np.stack([place.range_m, place.azimuth_rad, place.elevation_rad], axis=1)
     for term, v in others:
-        residual -= term.columns(place) * v
+        residual -= term.columns(place) * np.asarray(v)[..., None]
     enu = seen.enu[rows]
     if before is not None:
         enu = enu - before * seen.velocity[rows] + (0.5 * before**2) * seen.acceleration[rows]

@@ -220,7 +220,7 @@ def blocks_of(cluster: IntArray, time_s: FloatArray) -> IntArray:
     return np.asarray(tracks * pieces + (place - start[tracks]) * pieces // number[tracks])
 
 
-def _inflation(residual: FloatArray, block: IntArray) -> float:
+def inflation(residual: FloatArray, block: IntArray) -> float:
     """By how much the variance of means exceeds that of white noise, from the means of blocks; at least 1."""
     number = np.bincount(block)
     some = number > 0
@@ -315,7 +315,7 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         freedom = max(int(good.sum()) - len(kept), 1)
         squares = weight[good] / weight[good].mean() * residual[good] ** 2
         noise = float(np.sqrt(squares.sum() / freedom))
-        inflation = _inflation(residual[good], block[good])
+        wider = inflation(residual[good], block[good])
         dropped = [(names[offered[k]], why) for k, why in sorted(solved.dropped.items())]
         dropped += [(names[k], "no term acts like it; range_refraction is the air's delay") for k in unnamed]
         found = ChannelFit(
@@ -323,7 +323,7 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             order=order,
             columns=tuple(columns[k] for k in kept),
             value=solved.value,
-            covariance=solved.unit * (noise**2 * inflation * weight[good].mean()),
+            covariance=solved.unit * (noise**2 * wider * weight[good].mean()),
             dropped=tuple(dropped),
             offered=len(offered),
             rank=solved.rank,
@@ -359,11 +359,11 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         fits = {o: self._fit(channel, o, place, y, weight, block) for o in offered}
         largest, good, _, _ = fits[offered[-1]]
         residual = {o: y - f[0].correction(place) for o, f in fits.items()}
-        inflation = _inflation(residual[offered[-1]][good], block[good])
-        effective = max(good.sum() / inflation, 2.0)
+        wider = inflation(residual[offered[-1]][good], block[good])
+        effective = max(good.sum() / wider, 2.0)
         variance = max(largest.noise_sd**2, 1e-300)
         return {
-            o: float((residual[o][good] ** 2).sum() / (variance * inflation) + len(fits[o][0].value) * np.log(effective))
+            o: float((residual[o][good] ** 2).sum() / (variance * wider) + len(fits[o][0].value) * np.log(effective))
             for o in offered
         }
 

@@ -18,6 +18,7 @@ from .._parallel import in_threads, slices
 from .._types import BoolArray, FloatArray
 from ..calibration import Accuracy, Calibration, Noise, NotDetermined, Summary, TermKey
 from ..errors import NothingToDo, SettingsError
+from ..filters.alpha_beta import AlphaBeta, alpha_beta_covariance, alpha_beta_filter
 from ..model import Pairs, Sensor, Sensors
 from ..terms import DEG, TERMS, Term, term_of
 from .mean_shift import (
@@ -100,10 +101,86 @@ class KalmanBank(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         )
 
 
+class AlphaBetaBias(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag="alpha-beta"):
+    """The alpha-beta filter of each bias and its rate, the baseline: fixed gains, and nothing done about outliers.
+
+    The samples of `slot_s` seconds are averaged and taken in as one.  Gains `alpha` and `beta` are as given, else (0) those of
+    the steady-state Kalman filter for a `tracking_index` (Kalata 1984): how far a slot's change of the rate moves the bias
+    within a slot, over the sd of a slot's average.  The variance is what the samples' noise leaves; a bias that changes faster
+    than the gains follow is not in it.
+    """
+
+    tracking_index: float = 0.01
+    alpha: float = 0.0
+    beta: float = 0.0
+    slot_s: float = 10.0
+
+    @property
+    def gains(self) -> AlphaBeta:
+        """The gains of a slot.  Raises SettingsError for settings that make no sense."""
+        if not (self.slot_s > 0 and self.tracking_index > 0 and self.alpha >= 0 and self.beta >= 0) or (
+            self.beta and not self.alpha
+        ):
+            raise SettingsError(
+                f"{self} makes no sense",
+                where="alpha-beta",
+                remedy="Give a positive tracking_index and slot_s, or alpha and beta themselves.",
+            )
+        return AlphaBeta(alpha=self.alpha, beta=self.beta) if self.alpha else AlphaBeta.steady(self.tracking_index, 1.0, 1.0)
+
+    def __call__(self, time_s: FloatArray, value: FloatArray, variance: FloatArray, epoch_s: FloatArray) -> Estimate:
+        """See `Online`."""
+        gains = self.gains
+        t, z, r, e = checked(time_s, value, variance, epoch_s, "alpha-beta")
+        out, square = np.full((len(z), len(e)), np.nan), np.full((len(z), len(e)), np.nan)
+        for s in range(len(z)):
+            known = np.isfinite(z[s])
+            if known.any():
+                out[s], square[s] = self._series(gains, t[known], z[s, known], r[s, known], e)
+        return Estimate(out, square, np.zeros(len(z), np.int64))
+
+    def _series(
+        self, gains: AlphaBeta, t: FloatArray, z: FloatArray, r: FloatArray, e: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """One series' values and variances at the epochs (k,), of samples that are all numbers."""
+        slot = np.floor((t - t[0]) / self.slot_s).astype(np.int64)
+        first = np.flatnonzero(np.diff(slot, prepend=-1))
+        weight, weighted, timed = (np.r_[0.0, np.cumsum(column)] for column in (1 / r, z / r, t - t[0]))
+        edge = np.r_[first, len(t)]
+        total, middle = np.diff(weight[edge]), np.diff(timed[edge]) / np.diff(edge)
+        mean = np.diff(weighted[edge]) / total
+        state = alpha_beta_filter(mean[None, :, None], middle, gains)[0]
+        spread = alpha_beta_covariance(1 / total[None], middle, gains)[0]
+        # The slot that an epoch falls into has taken in its samples so far: from the slot before, one step to their mean.
+        end = np.searchsorted(t, e, side="right")
+        some = end > 0
+        end = end[some]
+        now = np.searchsorted(first, end - 1, side="right") - 1
+        begin, before = first[now], np.maximum(now - 1, 0)
+        precision = weight[end] - weight[begin]
+        seen, at = (weighted[end] - weighted[begin]) / precision, (timed[end] - timed[begin]) / (end - begin)
+        begun = now > 0
+        dt = np.where(begun, at - middle[before], 1.0)
+        gain = np.stack([np.where(begun, gains.alpha, 1.0), np.where(begun, gains.beta / dt, 0.0)], axis=1)
+        forward = np.tile(np.eye(2), (len(dt), 1, 1))
+        forward[:, 0, 1] = dt
+        x = np.einsum("kij,kj->ki", forward, np.where(begun[:, None], state[before], 0.0))
+        x = x + gain * (seen - x[:, 0])[:, None]
+        p = forward @ np.where(begun[:, None, None], spread[before], 0.0) @ np.swapaxes(forward, 1, 2)
+        left = np.eye(2) - gain[:, :, None] * np.array([1.0, 0.0])
+        p = left @ p @ np.swapaxes(left, 1, 2) + gain[:, :, None] * gain[:, None] / precision[:, None, None]
+        ahead = e[some] - t[0] - at
+        out, square = np.full(len(e), np.nan), np.full(len(e), np.nan)
+        out[some] = x[:, 0] + ahead * x[:, 1]
+        square[some] = p[:, 0, 0] + ahead * (2 * p[:, 0, 1] + ahead * p[:, 1, 1])
+        return out, square
+
+
 METHODS: dict[str, Online] = {
     "kalman-bank": KalmanBank(),
     "igmsr": Igmsr(),
     "mean-shift": MeanShift(),
+    "alpha-beta": AlphaBetaBias(),
     "exponential-average": ExponentialAverage(),
 }
 """The methods that follow a bias, by the name that an option gives, with their defaults."""
@@ -302,15 +379,17 @@ def register_online(
     *,
     method: Online | None = None,
     step_s: float | None = None,
+    epoch_s: FloatArray | None = None,
     beside: Calibration | None = None,
 ) -> Calibration:
     """Follow one radar's biases over time, of its samples measured - true (`online_samples`).
 
-    Epochs are `step_s` apart (by default a four-hundredth of the time).  The terms of `beside`, which `online_samples` has taken
-    out, go on in the result with the values that they have there.  Raises NothingToDo where no bias can be told.
+    Epochs are `step_s` apart (by default a four-hundredth of the time), or those of `epoch_s` (k,).  The terms of `beside`,
+    which `online_samples` has taken out, go on in the result with the values that they have there.  Raises NothingToDo where no
+    bias can be told.
     """
     method = method or KalmanBank()
-    epochs = _epochs([samples], step_s)
+    epochs = _epochs([samples], step_s) if epoch_s is None else epoch_s
     found = _follow(samples, sensor.key, sensor.name, "over time", method, epochs, [], BIASES)
     rows = [] if beside is None else _beside(beside, sensor.key)
     count, k = len(found.known), len(epochs)
