@@ -33,7 +33,7 @@ import numpy as np
 from boresight import flow
 from boresight.model import Fixes, Plots, load_sensors
 from boresight.simulation import Adsb, Radar, Scenario, Traffic, simulate
-from boresight.simulation.demo import sensors_toml
+from boresight.simulation.files import sensors_toml
 from boresight.simulation.scenario import Simulated
 from boresight.writing.asterix import write_asterix
 

@@ -20,7 +20,7 @@ from boresight.errors import InputError
 from boresight.frozen import SCHEMA, Settings, load_frozen, save_frozen
 from boresight.model import Sensors, load_sensors
 from boresight.simulation import Adsb, Radar, Scenario, Traffic, simulate
-from boresight.simulation.demo import write_scene
+from boresight.simulation.files import write_scene
 
 REQUIREMENT = Requirement(
     name="Spec",

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+import tempfile
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .errors import InputError
@@ -53,3 +54,49 @@ def write_bytes(path: str | Path, data: bytes) -> None:
 def write_text(path: str | Path, text: str) -> None:
     """Write `text` (UTF-8) to `path` as a whole or not at all.  Raises InputError as `atomic` does."""
     write_bytes(path, text.encode())
+
+
+@contextmanager
+def together(folder: str | Path, names: Collection[str]) -> Iterator[Path]:
+    """Give a place to write files to, which appear in `folder` together when all went well; `folder` is made where there is none.
+
+    Files of these `names` that were in `folder` are kept in ``earlier-1``, ``earlier-2`` …  On any exception (Ctrl-C too) the
+    folder is as it was before.  A full disk or a forbidden place raises InputError with the path and the remedy.
+    """
+    folder = Path(folder)
+    made = [p for p in (folder, *folder.parents) if not p.exists()]
+    part = ""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".boresight-", dir=folder) as part:
+            yield Path(part)
+            written = sorted(Path(part).iterdir())
+            _keep_earlier(folder, {*names, *(path.name for path in written)})
+            for path in written:
+                path.rename(folder / path.name)
+    except BaseException as error:
+        # What somebody else has put there meanwhile stays.
+        with suppress(OSError):
+            for new in made:
+                new.rmdir()
+        if isinstance(error, InputError):
+            raise InputError(str(error).replace(f"{part}/", f"{folder}/")) from error
+        if not isinstance(error, OSError):
+            raise
+        why = error.strerror or str(error)
+        raise InputError(
+            f"the folder cannot be made or written to ({why})", path=folder, remedy="Nothing was changed; name another one."
+        ) from error
+
+
+def _keep_earlier(folder: Path, names: Collection[str]) -> None:
+    """Move files of these names into the first free ``earlier-N``, so that no result is ever lost."""
+    there = [folder / name for name in sorted(names) if (folder / name).exists()]
+    if there:
+        number = 1
+        while (folder / f"earlier-{number}").exists():
+            number += 1
+        kept = folder / f"earlier-{number}"
+        kept.mkdir()
+        for path in there:
+            path.rename(kept / path.name)

@@ -14,7 +14,8 @@ from boresight.measure import wrap_rad
 from boresight.model import load_sensors
 from boresight.reading import read
 from boresight.simulation import Radar, Scenario, Simulated, load_scenario, simulate
-from boresight.simulation.demo import association_scene, demo_scene, sensors_toml, write_demo, write_scene
+from boresight.simulation.demo import association_scene, demo_scene, write_demo
+from boresight.simulation.files import sensors_toml, write_scene
 from boresight.terms import TERMS
 
 SCENE = """

@@ -233,9 +233,9 @@ def test_ships_change_nothing_of_the_air() -> None:
         ({"radar": (COAST,)}, "there are none"),
         ({"ais": Ais()}, "there are none"),
         ({"shipping": Shipping(ships=0)}, "ships = 0 is not within"),
-        ({"shipping": Shipping(passing=0.8, calling=0.5)}, "together at most 1"),
-        ({"shipping": Shipping(radius_m=1.0)}, "radius_m within"),
-        ({"shipping": Shipping(), "ais": Ais(loss=1.0)}, "loss and correlated"),
+        ({"shipping": Shipping(passing=0.8, calling=0.5)}, "are more than 1"),
+        ({"shipping": Shipping(radius_m=1.0)}, "radius_m = 1.0 is not within"),
+        ({"shipping": Shipping(), "ais": Ais(loss=1.0)}, "loss = 1.0 is not within"),
     ],
 )
 def test_seas_that_make_no_sense_are_refused(changes: dict[str, object], match: str) -> None:

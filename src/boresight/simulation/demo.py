@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import datetime
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
-from ..errors import InputError
-from ..model import Sensor, Sensors
-from ..terms import TERMS
-from ..writing import write_text
-from ..writing.asterix import write_asterix
-from ..writing.nmea import write_ais
+from .files import SceneFiles, scene_files, write_scene
 from .radar import Adsb, Ais, Radar
-from .scenario import Scenario, Simulated, simulate
+from .scenario import Scenario, simulate
 from .truth import Airport, Atmosphere, Shipping, Traffic
 
 _AIRPORT = Airport(lat_deg=41.2971, lon_deg=2.0785, height_m=54.0, runway_deg=246.0)
@@ -104,80 +97,15 @@ def association_scene(seed: int, *, largest_azimuth_deg: float = 2.8) -> Scenari
     )  # fmt: skip
 
 
-class DemoFiles(msgspec.Struct, frozen=True):
-    """Where a scene was written, the UTC date of its first record, and its true errors (radar, term, value in its unit)."""
-
-    plots: tuple[Path, ...]
-    reference: tuple[Path, ...]
-    sensors: Path
-    truth_file: Path
-    date: datetime.date
-    truth: dict[str, dict[str, float]]
-
-
 def demo_files(folder: str | Path) -> tuple[Path, ...]:
     """The files that `write_demo` writes into `folder`."""
-    names = [f"{radar.name}.ast" for radar in demo_scene(0).radar]
-    return tuple(Path(folder) / name for name in [*names, "adsb.ast", "ais.nmea", "sensors.toml", "truth.json"])
+    return tuple(Path(folder) / name for name in scene_files(demo_scene(0)))
 
 
-def write_demo(folder: str | Path, seed: int = 1) -> DemoFiles:
-    """Simulate the demonstration and write it to `folder`.
+def write_demo(folder: str | Path, seed: int = 1) -> SceneFiles:
+    """Simulate the demonstration and write it to `folder` as `write_scene` does.
 
-    One ASTERIX file a radar (CAT048 with CAT034; of the marine radar CAT010, which coastal stations send: plots, not the
-    smoothed targets of NMEA's TTM), ``adsb.ast`` (CAT021), ``ais.nmea`` (AIVDM), ``sensors.toml`` and ``truth.json``.  The same
-    seed gives the same bytes.  The folder is made where it does not exist.  Raises InputError where it cannot be written.
+    One ASTERIX file a radar, ``adsb.ast``, ``ais.nmea``, ``sensors.toml`` and ``truth.json``.  The same seed gives the same
+    bytes.  Raises InputError where it cannot be written.
     """
     return write_scene(simulate(demo_scene(seed), np.random.default_rng([seed, 3])), folder)
-
-
-def write_scene(run: Simulated, folder: str | Path) -> DemoFiles:
-    """Write a simulated scene as `write_demo` does."""
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"the folder cannot be made ({error.strerror})", path=folder, remedy="Name another one.") from error
-    plots: list[Path] = []
-    for radar, seen in zip(run.scenario.radar, run.observations, strict=True):
-        plots.append(folder / f"{radar.name}.ast")
-        marks = seen.marks if len(seen.marks.time_s) else None
-        write_asterix(plots[-1], seen.plots, marks=marks, category=10 if radar.kind == "marine" else 48)
-    reference: list[Path] = []
-    if run.scenario.adsb is not None:
-        reference.append(folder / "adsb.ast")
-        write_asterix(reference[-1], fixes=run.fixes)
-    if run.ais is not None:
-        reference.append(folder / "ais.nmea")
-        write_ais(reference[-1], run.ais.positions, run.ais.statics)
-    write_text(folder / "sensors.toml", sensors_toml(run.sensors))
-    errors = {
-        name: {term: {"true": value, "unit": TERMS[term].unit} for term, value in terms.items()}
-        for name, terms in run.errors.items()
-    }
-    text = msgspec.json.format(msgspec.json.encode({"scene": run.scenario.name, "sensors": errors}), indent=2).decode()
-    write_text(folder / "truth.json", text + "\n")
-    return DemoFiles(
-        plots=tuple(plots),
-        reference=tuple(reference),
-        sensors=folder / "sensors.toml",
-        truth_file=folder / "truth.json",
-        date=run.scenario.start.date(),
-        truth=run.errors,
-    )
-
-
-def sensors_toml(sensors: Sensors) -> str:
-    """The text of a `sensors.toml` that `load_sensors` reads as these sensors; what stands at its default is left out."""
-    tables = []
-    for sensor in sensors:
-        lines = ["[[sensor]]"]
-        for key, value in msgspec.to_builtins(sensor).items():
-            if key in ("name", "kind") or value != getattr(_PLAIN, key):
-                lines.append(f"{key} = {msgspec.json.encode(value).decode()}")
-        tables.append("\n".join(lines) + "\n")
-    return "\n".join(tables)
-
-
-# A sensor of which nothing is told: its fields are the defaults.
-_PLAIN = Sensor(name="")

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import datetime
+import math
 import tomllib
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from .._types import IntArray
 from ..errors import SettingsError
-from ..model import Fixes, Plots, Sensors, check_sensors, pack_callsigns
-from ..terms import term_of
+from ..model import Fixes, Plots, Sensors, pack_callsigns
+from ..terms import CHANNELS, TERMS, term_of
 from ..writing.asterix import Marks
+from .lint import Mistake, Place, decode, line_of, lines_of, nearest
 from .radar import Adsb, Ais, AisLog, Observation, Radar, observe_adsb, observe_ais, observe_radar
 from .truth import Aircraft, Airport, Atmosphere, Shipping, Traffic, Truth, fly_traffic, sail_shipping
 
@@ -79,103 +83,286 @@ class Simulated:
         return {radar.name: dict(radar.errors) for radar in self.scenario.radar}
 
 
+class Remark(msgspec.Struct, frozen=True):
+    """What is wrong with a scenario file, or makes little sense: the line of its table or key, what it is, and the remedy."""
+
+    path: str
+    line: int
+    text: str
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        return str(SettingsError(self.text, where=f"{self.path}:{self.line}", remedy=self.remedy))
+
+
+class Lint(msgspec.Struct, frozen=True):
+    """A scenario file looked over.  `scenario` is None where there are `mistakes`; `warnings` are of what makes little sense."""
+
+    scenario: Scenario | None
+    mistakes: tuple[Remark, ...]
+    warnings: tuple[Remark, ...]
+
+
 def load_scenario(path: str | Path) -> Scenario:
     """Read a scenario from TOML.
 
-    Raises SettingsError with the file, the place and the remedy for a missing file, TOML that is not TOML, an unknown key or an
-    impossible value.
+    Raises SettingsError for a missing file, TOML that is not TOML, and with every mistake of `lint_scenario`, a line each.
+    """
+    lint = lint_scenario(path)
+    if lint.scenario is None:
+        found = lint.mistakes
+        if len(found) == 1:
+            raise SettingsError(found[0].text, where=f"{path}:{found[0].line}", remedy=found[0].remedy)
+        raise SettingsError("\n".join([f"{path}: {len(found)} mistakes", *map(str, found)]))
+    return lint.scenario
+
+
+def lint_scenario(path: str | Path) -> Lint:
+    """Look a scenario file over: every mistake of names, types and values and of what does not go together, with its line.
+
+    Raises SettingsError for a missing file, and for TOML that is not TOML (with the place).
     """
     try:
-        data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        text = Path(path).read_text(encoding="utf-8")
+        data = tomllib.loads(text)
     except OSError as error:
         raise SettingsError(f"cannot be read ({error.strerror})", where=str(path)) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SettingsError(f"is not TOML: {error}", where=str(path)) from error
-    try:
-        scenario = msgspec.convert(data, Scenario)
-    except msgspec.ValidationError as error:
-        raise SettingsError(str(error), where=str(path), remedy=f"Known keys: {_known_keys(str(error))}.") from error
-    check_scenario(scenario, where=str(path))
-    return scenario
+    decoded = decode(Scenario, data)
+    scenario: Scenario | None = decoded.value
+    found = list(decoded.mistakes)
+    if scenario is not None:
+        told = {mistake.place for mistake in found}
+        placed = (mistake._replace(place=decoded.in_file(mistake.place)) for mistake in mistakes_of(scenario))
+        found += [mistake for mistake in placed if mistake.place not in told]
+    lines = lines_of(text)
+
+    def remarks(mistakes: Iterable[Mistake]) -> tuple[Remark, ...]:
+        made = (Remark(str(path), line_of(lines, m.place), _table(data, m.place) + m.text, m.remedy) for m in mistakes)
+        return tuple(sorted(made, key=lambda remark: remark.line))
+
+    if scenario is None or found:
+        return Lint(None, remarks(found), ())
+    return Lint(scenario, (), remarks(warnings_of(scenario)))
 
 
-def _known_keys(message: str) -> str:
-    """The keys of the table that an error message of msgspec points at."""
-    tables = {
-        "radar": Radar, "adsb": Adsb, "traffic": Traffic, "airport": Airport, "atmosphere": Atmosphere, "shipping": Shipping,
-        "ais": Ais,
-    }  # fmt: skip
-    found = next((table for name, table in tables.items() if f"$.{name}" in message), Scenario)
-    return ", ".join(found.__struct_fields__)
+def _table(data: Any, place: Place) -> str:
+    """``radar 2 ('two'): `` for what stands in such a table, ``traffic: `` in a plain one, nothing at the top."""
+    if not place or (len(place) == 1 and not isinstance(data.get(place[0]), dict)):
+        return ""
+    if len(place) == 1 or not isinstance(place[1], int):
+        return f"{place[0]}: "
+    table = data[place[0]][place[1]]
+    name = f" ({table['name']!r})" if isinstance(table, dict) and isinstance(table.get("name"), str) else ""
+    return f"{place[0]} {place[1] + 1}{name}: "
 
 
 def check_scenario(scenario: Scenario, where: str = "scenario") -> None:
-    """Raise SettingsError for what cannot be simulated, naming the place and what would do."""
+    """Raise SettingsError for what cannot be simulated, naming the places and what would do."""
+    found = list(mistakes_of(scenario))
+    if not found:
+        return
+    data = msgspec.to_builtins(scenario)
+    said = [str(SettingsError(_table(data, m.place) + m.text, where=where, remedy=m.remedy)) for m in found]
+    raise SettingsError(said[0] if len(said) == 1 else "\n".join([f"{where}: {len(said)} mistakes", *said]))
+
+
+# Lowest and highest value of each key, both allowed.
+_LIMITS: dict[type, dict[str, tuple[float, float]]] = {
+    Scenario: {"duration_s": (10.0, 86400.0)},
+    Traffic: {
+        "aircraft": (0, 4000), "lat_deg": (-75, 75), "lon_deg": (-360, 360), "radius_m": (20e3, 600e3), "arrivals": (0, 1),
+        "departures": (0, 1), "local": (0, 1), "holding": (0, 1), "delay_sd_m": (0, 1000), "altimetry_sd_m": (0, 1000),
+    },
+    Airport: {"lat_deg": (-80, 80), "lon_deg": (-360, 360), "height_m": (-500, 6000), "runway_deg": (0, 360)},
+    Atmosphere: {"isa_deviation_k": (-60, 60), "shift_m": (-1500, 1500)},
+    Shipping: {
+        "ships": (1, 2000), "lat_deg": (-75, 75), "lon_deg": (-360, 360), "seaward_deg": (-360, 360), "radius_m": (5e3, 100e3),
+        "passing": (0, 1), "calling": (0, 1), "fishing": (0, 1), "anchored": (0, 1), "sea_level_m": (-500, 6000),
+        "current_mps": (0, 5),
+    },
+    Adsb: {
+        "sac": (0, 255), "sic": (0, 255), "share": (0, 1), "correlated": (0, 1), "correlation_s": (1, 1e6),
+        "height_sd_m": (0, 1000), "velocity_sd_mps": (0, 100), "latency_mean_s": (-60, 60), "latency_sd_s": (0, 10),
+        "loss": (0, 0.999), "gap_every_s": (0, 1e9), "gap_s": (0, 86400), "time_quantum_s": (0, 1),
+    },
+    Ais: {
+        "loss": (0, 0.999), "static_s": (1, 86400), "latency_mean_s": (-60, 60), "latency_sd_s": (0, 10), "correlated": (0, 1),
+        "correlation_s": (1, 1e6),
+    },
+    Radar: {
+        "sac": (0, 255), "sic": (0, 255), "lat_deg": (-90, 90), "lon_deg": (-360, 360), "height_m": (-500, 20e3),
+        "scan_s": (0.1, 120), "min_range_m": (0, 1e6), "max_range_m": (1, 1e6), "min_elevation_deg": (-90, 90),
+        "max_elevation_deg": (-90, 90), "detection": (1e-6, 1), "range_sd_m": (0, 1e5), "azimuth_sd_deg": (0, 90),
+        "elevation_sd_deg": (0, 90), "time_sd_s": (0, 10), "range_quantum_m": (0, 1e4), "azimuth_quantum_deg": (0, 90),
+        "elevation_quantum_deg": (0, 90), "time_quantum_s": (0, 10), "false_plots": (0, 1e5), "ground_height_m": (-500, 9000),
+        "primary_only": (0, 1), "second_chain": (0, 1),
+    },
+}  # fmt: skip
+# What the folder of a simulation has besides the radars' files, without the ending.
+_TAKEN = ("adsb", "ais", "truth", "truth_plots", "truth_errors", "truth_targets")
+
+
+def mistakes_of(scenario: Scenario) -> Iterator[Mistake]:
+    """What of a scene cannot be simulated, each with its place in the scenario."""
     if scenario.start.tzinfo is None:
-        raise SettingsError("start has no time zone", where=where, remedy="Write it as 2026-03-01T10:00:00Z.")
-    if not 10.0 <= scenario.duration_s <= 86400.0:
-        raise SettingsError(f"duration_s = {scenario.duration_s} is not within 10 … 86,400", where=where)
-    traffic = scenario.traffic
-    if not 1 <= traffic.aircraft <= 4000:
-        raise SettingsError(f"aircraft = {traffic.aircraft} is not within 1 … 4,000", where=f"{where}: traffic")
-    shares = (traffic.arrivals, traffic.departures, traffic.local, traffic.holding)
-    if min(shares) < 0 or sum(shares[:3]) > 1 or traffic.holding > 1:
-        raise SettingsError("shares must be positive, and arrivals + departures + local at most 1", where=f"{where}: traffic")
-    if not 20e3 <= traffic.radius_m <= 600e3 or not abs(traffic.lat_deg) <= 75:
-        raise SettingsError("needs radius_m within 20,000 … 600,000 and lat_deg within -75 … 75", where=f"{where}: traffic")
-    if (traffic.arrivals or traffic.departures) and not scenario.airport:
-        raise SettingsError("arrivals and departures need an [[airport]]", where=f"{where}: traffic")
-    check_sensors(Sensors(tuple(radar.sensor for radar in scenario.radar)), where=where)
-    for number, radar in enumerate(scenario.radar):
-        place = f"{where}: radar {number + 1} ({radar.name!r})"
-        if radar.kind not in _KINDS:
-            raise SettingsError(f"kind = {radar.kind!r} is not simulated", where=place, remedy=f"Known: {', '.join(_KINDS)}.")
-        for term in radar.errors:
-            try:
-                needs = term_of(term).needs
-            except SettingsError as error:
-                raise SettingsError(f"there is no error term {term!r}", where=place, remedy=error.remedy) from error
-            if "elevation" in needs and radar.elevation_sd_deg is None:
-                raise SettingsError(f"{term} needs a radar that measures elevation", where=place, remedy="Give elevation_sd_deg.")
+        yield Mistake(("start",), "start has no time zone", "Write it as 2026-03-01T10:00:00Z.")
+    elif not 1971 <= scenario.start.year <= 2199:
+        yield Mistake(("start",), f"start lies in {scenario.start.year}, not within 1971 … 2199")
+    yield from _outside(scenario, ())
+    yield from _scene_mistakes(scenario)
+    names, keys = dict[str, int](), dict[int, int]()
+    for k, radar in enumerate(scenario.radar):
+        place: Place = ("radar", k)
+        yield from _outside(radar, place)
+        for mistake in _radar_mistakes(radar):
+            yield mistake._replace(place=(*place, *mistake.place))
         if radar.kind == "marine" and scenario.shipping is None:
-            raise SettingsError("a marine radar sees ships, and there are none", where=place, remedy="Give [shipping].")
-        if not 0 < radar.detection <= 1 or min(radar.time_sd_s, radar.false_plots) < 0:
-            raise SettingsError("detection must be within 0 … 1, time_sd_s and false_plots not negative", where=place)
-        if not (0 <= radar.primary_only <= 1 and 0 <= radar.second_chain <= 1):
-            raise SettingsError("primary_only and second_chain must be within 0 … 1", where=place)
-        if radar.primary_only > 0 and radar.kind != "combined":
-            raise SettingsError("primary_only is of combined radars", where=place, remedy='Give kind = "combined".')
-    shipping = scenario.shipping
+            yield Mistake((*place, "kind"), "a marine radar sees ships, and there are none", "Give [shipping].")
+        first = names.setdefault(radar.name.casefold(), k)
+        if first != k:
+            yield Mistake((*place, "name"), f"name = {radar.name!r} was used before, by radar {first + 1}", "Each has its own.")
+        key = keys.setdefault(radar.sac << 8 | radar.sic, k)
+        if key != k:
+            text = f"sac and sic = {radar.sac}/{radar.sic} were used before, by radar {key + 1} ({scenario.radar[key].name!r})"
+            yield Mistake((*place, "sic"), text, "Each has its own.")
+
+
+def _outside(table: Any, place: Place) -> Iterator[Mistake]:
+    """The numbers of a table that are not finite, or not within their limits."""
+    limits = _LIMITS.get(type(table), {})
+    for name in table.__struct_fields__:
+        value = getattr(table, name)
+        for item in value.values() if isinstance(value, dict) else [value]:
+            if isinstance(item, float) and not math.isfinite(item):
+                yield Mistake((*place, name), f"{name} = {value} is not a finite number")
+                break
+        else:
+            low, high = limits.get(name, (-math.inf, math.inf))
+            if isinstance(value, (int, float)) and not low <= value <= high:
+                yield Mistake((*place, name), f"{name} = {value} is not within {low:,g} … {high:,g}")
+
+
+def _scene_mistakes(scenario: Scenario) -> Iterator[Mistake]:
+    """Mistakes of all that is not a radar."""
+    traffic = scenario.traffic
+    yield from _outside(traffic, ("traffic",))
+    if traffic.aircraft == 0 and scenario.shipping is None:
+        yield Mistake(("traffic", "aircraft"), "aircraft = 0, and there are no ships: nothing to see", "Give [shipping].")
+    if traffic.arrivals + traffic.departures + traffic.local > 1 + 1e-9:
+        yield Mistake(("traffic",), "arrivals + departures + local are more than 1")
+    if (traffic.arrivals or traffic.departures) and traffic.aircraft and not scenario.airport:
+        yield Mistake(("traffic",), "arrivals and departures need an [[airport]]", "Give one, or set both to 0.")
+    for k, airport in enumerate(scenario.airport):
+        yield from _outside(airport, ("airport", k))
+    yield from _outside(scenario.atmosphere, ("atmosphere",))
+    shipping, ais, adsb = scenario.shipping, scenario.ais, scenario.adsb
     if shipping is not None:
-        place = f"{where}: shipping"
-        parts = (shipping.passing, shipping.calling, shipping.fishing, shipping.anchored)
-        if not 1 <= shipping.ships <= 2000:
-            raise SettingsError(f"ships = {shipping.ships} is not within 1 … 2,000", where=place)
-        if min(parts) < 0 or sum(parts) > 1 + 1e-9:
-            raise SettingsError("shares must be positive, and together at most 1", where=place)
-        if not 5e3 <= shipping.radius_m <= 100e3 or not abs(shipping.lat_deg) <= 75:
-            raise SettingsError("needs radius_m within 5,000 … 100,000 and lat_deg within -75 … 75", where=place)
-    ais = scenario.ais
+        yield from _outside(shipping, ("shipping",))
+        if shipping.passing + shipping.calling + shipping.fishing + shipping.anchored > 1 + 1e-9:
+            yield Mistake(("shipping",), "passing + calling + fishing + anchored are more than 1")
     if ais is not None:
-        place = f"{where}: ais"
+        yield from _outside(ais, ("ais",))
         if shipping is None:
-            raise SettingsError("AIS is of ships, and there are none", where=place, remedy="Give [shipping].")
-        if not (0 <= ais.loss < 1 and 0 <= ais.correlated <= 1 and ais.static_s > 0 and ais.correlation_s > 0):
-            raise SettingsError("loss and correlated are within 0 … 1, static_s and correlation_s positive", where=place)
-    adsb = scenario.adsb
+            yield Mistake(("ais",), "AIS is of ships, and there are none", "Give [shipping].")
     if adsb is not None:
-        place = f"{where}: adsb"
-        if any(not (name.isdigit() and 1 <= int(name) <= 11) for name in adsb.classes) or not sum(adsb.classes.values()) > 0:
-            raise SettingsError(
-                "classes must map NACp 1 … 11 to shares", where=place, remedy='For example {"9" = 0.5, "10" = 0.5}.'
-            )
-        if not (
-            0 <= adsb.share <= 1
-            and 0 <= adsb.correlated <= 1
-            and 0 <= adsb.loss < 1
-            and 0 < adsb.interval_s[0] <= adsb.interval_s[1]
-        ):
-            raise SettingsError("share, correlated and loss are within 0 … 1, interval_s positive and rising", where=place)
+        yield from _outside(adsb, ("adsb",))
+        for name, share in adsb.classes.items():
+            if not (name.isdecimal() and 1 <= int(name) <= 11):
+                remedy = 'For example { "9" = 0.5, "10" = 0.5 }.'
+                yield Mistake(("adsb", "classes", name), f"classes: {name!r} is no NACp, 1 … 11", remedy)
+            elif share < 0:
+                yield Mistake(("adsb", "classes", name), f"classes: the share of {name!r} is negative")
+        if not sum(adsb.classes.values()) > 0:
+            yield Mistake(("adsb", "classes"), "classes must map NACp 1 … 11 to shares")
+        if not 0.05 <= adsb.interval_s[0] <= adsb.interval_s[1] <= 3600:
+            yield Mistake(("adsb", "interval_s"), f"interval_s = {list(adsb.interval_s)} does not rise within 0.05 … 3,600")
+
+
+def _radar_mistakes(radar: Radar) -> Iterator[Mistake]:
+    """Mistakes of one radar, with places within its table."""
+    if radar.kind not in _KINDS:
+        remedy = f"{nearest(radar.kind, _KINDS)}Known: {', '.join(_KINDS)}."
+        yield Mistake(("kind",), f"kind = {radar.kind!r} is not simulated", remedy)
+    name = radar.name
+    if not name.strip() or name.startswith(".") or len(name) > 100 or any(c in '/\\:*?"<>|' or ord(c) < 32 for c in name):
+        yield Mistake(("name",), f"name = {name!r} cannot be the name of a file")
+    elif name.casefold() in _TAKEN:
+        yield Mistake(("name",), f"name = {name!r} is the name of another file of the simulation")
+    if radar.min_range_m >= radar.max_range_m:
+        yield Mistake(("max_range_m",), f"max_range_m = {radar.max_range_m:g} is not more than min_range_m")
+    if radar.min_elevation_deg >= radar.max_elevation_deg:
+        yield Mistake(
+            ("max_elevation_deg",), f"max_elevation_deg = {radar.max_elevation_deg:g} is not more than min_elevation_deg"
+        )
+    if radar.primary_only > 0 and radar.kind != "combined":
+        yield Mistake(("primary_only",), "primary_only is of combined radars", 'Give kind = "combined".')
+    if radar.height_from_elevation and radar.elevation_sd_deg is None:
+        yield Mistake(("height_from_elevation",), "height_from_elevation needs an elevation", "Give elevation_sd_deg.")
+    for term in radar.errors:
+        place: Place = ("errors", term)
+        try:
+            needs = term_of(term).needs
+        except SettingsError as error:
+            base, _, channel = term.partition("@")
+            like = nearest(channel, CHANNELS) if base in TERMS else nearest(base, TERMS)
+            yield Mistake(place, f"there is no error term {term!r}", like + error.remedy)
+            continue
+        if "elevation" in needs and radar.elevation_sd_deg is None:
+            yield Mistake(place, f"{term} needs a radar that measures elevation", "Give elevation_sd_deg.")
+
+
+# An error beyond so many of its usual sizes, and a scene of fewer turns of the antenna, are more likely slips than wishes.
+_USUAL, _TURNS = 5.0, 10.0
+_EARTH_M = 6_371_000.0
+
+
+def warnings_of(scenario: Scenario) -> Iterator[Mistake]:
+    """What of a scene can be simulated and makes little sense, each with its place in the scenario."""
+    traffic, shipping = scenario.traffic, scenario.shipping
+    if not scenario.radar:
+        yield Mistake((), "there is no radar", "Give a [[radar]].")
+    for k, radar in enumerate(scenario.radar):
+        place: Place = ("radar", k)
+        if scenario.duration_s < _TURNS * radar.scan_s:
+            turns = scenario.duration_s / radar.scan_s
+            yield Mistake((*place, "scan_s"), f"the antenna turns only {turns:.1f} times in {scenario.duration_s:g} s")
+        region = shipping if radar.kind == "marine" else traffic if traffic.aircraft else None
+        if region is not None:
+            away = _distance_m(radar.lat_deg, radar.lon_deg, region.lat_deg, region.lon_deg)
+            if away - region.radius_m > radar.max_range_m:
+                what = "ships" if radar.kind == "marine" else "traffic"
+                yield Mistake(
+                    (*place, "max_range_m"),
+                    f"max_range_m = {radar.max_range_m:g} reaches no target: the {what} is {away - region.radius_m:,.0f} m away",
+                )
+        if radar.kind != "marine" and not traffic.aircraft:
+            yield Mistake((*place, "kind"), f"a radar of kind {radar.kind!r} sees aircraft, and there are none")
+        for name, value in radar.errors.items():
+            term = term_of(name)
+            usual = term.prior_sd / term.si_per_unit
+            if abs(value) > _USUAL * usual:
+                text = f"{name} = {value:g} {term.unit} is far beyond what radars have (sd {usual:g} {term.unit})"
+                yield Mistake((*place, "errors", name), text)
+    kinds = {"ships" if radar.kind == "marine" else "aircraft" for radar in scenario.radar}
+    if scenario.radar and scenario.adsb is None and scenario.ais is None:
+        yield Mistake((), "there is no reference to calibrate against", "Give [adsb], or [ais] for ships.")
+    if (
+        scenario.radar
+        and scenario.adsb is not None
+        and not (traffic.aircraft and scenario.adsb.share > 0 and "aircraft" in kinds)
+    ):
+        yield Mistake(("adsb",), "no radar sees a target that has ADS-B")
+    if scenario.radar and scenario.ais is not None and "ships" not in kinds:
+        yield Mistake(("ais",), "no radar sees ships, and only they have AIS", 'Ships are seen by kind = "marine".')
+
+
+def _distance_m(lat_deg: float, lon_deg: float, other_lat_deg: float, other_lon_deg: float) -> float:
+    """About how far two places are apart, along a great circle of a sphere."""
+    a, b = math.radians(lat_deg), math.radians(other_lat_deg)
+    half = math.sin((b - a) / 2) ** 2 + math.cos(a) * math.cos(b) * math.sin(math.radians(other_lon_deg - lon_deg) / 2) ** 2
+    return 2 * _EARTH_M * math.asin(min(1.0, math.sqrt(half)))
 
 
 def _equip(scenario: Scenario, rng: np.random.Generator) -> Aircraft:
@@ -220,15 +407,13 @@ def simulate(scenario: Scenario, seed: int | np.random.Generator) -> Simulated:
     check_scenario(scenario)
     flights, equipment, reports, *watches = np.random.default_rng(seed).spawn(3 + len(scenario.radar))
     aircraft = _equip(scenario, equipment)
-    truth = fly_traffic(
-        scenario.traffic,
-        scenario.airport,
-        scenario.atmosphere,
-        scenario.start.timestamp(),
-        scenario.duration_s,
-        aircraft,
-        flights,
-    )
+    begin = scenario.start.timestamp()
+    if scenario.traffic.aircraft:
+        truth = fly_traffic(
+            scenario.traffic, scenario.airport, scenario.atmosphere, begin, scenario.duration_s, aircraft, flights
+        )
+    else:
+        truth = Truth(begin, np.empty(0), np.empty(0), aircraft, scenario.atmosphere, ())
     # Of the equipment's seed, so that neither ships nor radars change what the others draw.
     voyages, messages = equipment.spawn(2)
     ais = scenario.ais
