@@ -121,7 +121,7 @@ def calibrate(
     from .frozen import Settings, freeze
     from .heights import height_profile
     from .measure import site_warnings
-    from .platform import fix_platforms
+    from .platform import platform_views
     from .reading.site import site_disagreements
     from .registration import LeastSquares, register
     from .report import gather
@@ -169,13 +169,13 @@ def calibrate(
     heights = height_profile(fixes, sensors)
     fixes, said = locate(fixes, sensors, sources, heights=heights)
     warnings += said
-    fixes, sensors, said = fix_platforms(measured, fixes, Platform.concat([r.platform for r in radar]), sensors)
+    measured, views, sensors, said = platform_views(measured, Platform.concat([r.platform for r in radar]), sensors)
     warnings += said
     warnings += site_warnings(measured, sensors, positions=False)
     check = overlap(measured, fixes)
     warnings += [check.message] if check.message else []
     progress("associating plots and targets")
-    association = search(measured, fixes, sensors)
+    association = search(measured, fixes, sensors, views=views)
     warnings += association.warnings
     progress("estimating the errors")
     found = register(association.pairs, sensors, model=model, settings=LeastSquares(criterion=criterion))

@@ -37,7 +37,10 @@ class Channel(IntEnum):
 
 
 class Flag(IntFlag):
-    """What a record says of its own quality.  A plot with any flag of `EXCLUDED` takes no part in a registration."""
+    """What a record says of its own quality.  A plot with any flag of `EXCLUDED` takes no part in a registration.
+
+    `FROM_BOW`: the record's bearing was relative to the bow, and own ship's heading was added where it was read.
+    """
 
     SIMULATED = 1
     TEST = 2
@@ -54,6 +57,7 @@ class Flag(IntFlag):
     ACQUIRING = 4096
     MAGNETIC_NORTH = 8192
     CHAIN_2 = 16384
+    FROM_BOW = 32768
 
 
 EXCLUDED = (
@@ -421,6 +425,8 @@ class Recording:
 
 
 KINDS = ("psr", "ssr", "combined", "mode_s", "surface", "marine", "mlat", "adsb", "ais", "system")
+# What azimuths are measured from: true north about the vertical, the bow about the vertical, the bow in the plane of the deck.
+ANGLES = ("north", "bow", "deck")
 
 
 class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -428,6 +434,8 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     Heights above mean sea level are given as `height_msl_m` with `geoid_m`.  `time_offset_s` is taken from every stamp before
     anything else (positive where the stamps are late).  `ground_height_m` is the ellipsoidal height of targets on the ground.
+    On a ship, `lever_arm_m` is where the phase centre is from own ship's reference point, forward, starboard and up, and `angles`
+    (one of `ANGLES`) what azimuths and elevations are measured from.
     """
 
     name: str
@@ -451,6 +459,8 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     min_range_m: float = 0.0
     max_range_m: float | None = None
     time_offset_s: float = 0.0
+    lever_arm_m: tuple[float, float, float] | None = None
+    angles: str = "north"
 
     @property
     def key(self) -> int:
@@ -537,6 +547,11 @@ def check_sensors(sensors: Sensors, where: str = "sensors") -> None:
             raise SettingsError(f"kind = {s.kind!r} is unknown", where=place, remedy=f"Known kinds: {', '.join(KINDS)}.")
         if s.north not in ("true", "magnetic", "grid"):
             raise SettingsError(f"north = {s.north!r} is unknown", where=place, remedy="Known: true, magnetic, grid.")
+        if s.angles not in ANGLES:
+            raise SettingsError(f"angles = {s.angles!r} is unknown", where=place, remedy=f"Known: {', '.join(ANGLES)}.")
+        if s.lever_arm_m is not None and not all(abs(v) <= 1000 for v in s.lever_arm_m):
+            remedy = "Give [forward, starboard, up] in metres."
+            raise SettingsError(f"lever_arm_m = {list(s.lever_arm_m)} is not within 1,000 m", where=place, remedy=remedy)
         for name in ("range_sd_m", "azimuth_sd_deg", "elevation_sd_deg", "scan_s", "max_range_m"):
             value = getattr(s, name)
             if value is not None and not value > 0:

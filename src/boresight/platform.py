@@ -1,28 +1,115 @@
 """A radar that moves: everything about its platform, so that the steps after it need not know.
 
-A moving radar measures where targets are relative to itself.  Its reference is therefore re-expressed relative to the
-platform, at each fix's own time, and put about one fixed point that stands for the antenna.  Rates come out right too: what a
-late stamp, or any other term, does to a measured range depends on the motion of the target relative to the radar, not over
-ground.
+A moving radar measures where targets are from its antenna, about axes that turn with the ship.  Its reference is therefore
+looked at from the antenna, in the axes that it measures in, at each plot's own time, and put about one fixed point: `View` does
+this to what `alignment.states` tells.  Rates come out right too: what a late stamp, or any other term, does to a measured range
+or azimuth depends on the motion of the target relative to the antenna and its axes, not over ground.  METHODS section 3: own
+ship's roll, pitch, heading and the antenna's lever arm are inputs.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
 from ._types import BoolArray, FloatArray
+from .alignment import States, Trajectories, states, trajectories
 from .errors import SettingsError
 from .geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate, rotate_back
-from .model import Fixes, Platform, Plots, Sensor, Sensors
+from .measure import wrap_turn
+from .model import Fixes, Flag, Platform, Plots, Sensor, Sensors
 
-# A platform's position is not interpolated across a longer silence.
-_MAX_GAP_S = 10.0
+# Neither position nor heading is interpolated across a longer silence; ships roll and pitch faster than they turn.
+_MAX_GAP_S, _SWING_GAP_S = 10.0, 3.0
+# Rates are differences (of fourth order) of places this far apart: noise of own ship's attitude must not look like motion.
+_RATE_S = 0.25
+# Only what own ship's positions tell of their own scatter counts: a value to begin with.
+_OWN_SD_M = 3.0
 
 
-def moving(plots: Plots, platform: Platform) -> list[int]:
-    """The ids of the sensors among `plots` whose platform moves, in order."""
-    return [int(key) for key in np.intersect1d(plots.sensor, platform.sensor)]
+# ------------------------------------------------------------------------------------------------------------------- frames
+
+
+def deck_from_enu(heading_rad: FloatArray, roll_rad: FloatArray, pitch_rad: FloatArray) -> FloatArray:
+    """The rotation (n, 3, 3) from east, north, up to a ship's starboard, bow and up, at its heading, roll and pitch (n,), rad.
+
+    Roll is positive to starboard (starboard side down), pitch with the bow up.  Heading turns first, then pitch, then roll.
+    Starboard, bow and up are what east, north and up are to an antenna on land: azimuths in these axes count from the bow.
+    """
+    sin_h, cos_h = np.sin(heading_rad), np.cos(heading_rad)
+    sin_r, cos_r, sin_p, cos_p = np.sin(roll_rad), np.cos(roll_rad), np.sin(pitch_rad), np.cos(pitch_rad)
+    # Level: starboard (cos h, -sin h, 0), ahead (sin h, cos h, 0); the deck's up at no roll is across both.
+    out = np.empty((*np.shape(heading_rad), 3, 3))
+    out[..., 0, 0], out[..., 0, 1] = cos_r * cos_h + sin_r * sin_p * sin_h, -cos_r * sin_h + sin_r * sin_p * cos_h
+    out[..., 0, 2] = -sin_r * cos_p
+    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = cos_p * sin_h, cos_p * cos_h, sin_p
+    out[..., 2, 0], out[..., 2, 1] = sin_r * cos_h - cos_r * sin_p * sin_h, -sin_r * sin_h - cos_r * sin_p * cos_h
+    out[..., 2, 2] = cos_r * cos_p
+    return out
+
+
+def antenna_axes(angles: str, heading_rad: FloatArray, roll_rad: FloatArray, pitch_rad: FloatArray) -> FloatArray:
+    """The rotation (n, 3, 3) from east, north, up to the axes that an antenna measures in, by `angles` (north, bow or deck)."""
+    if angles == "north":
+        return np.broadcast_to(np.eye(3), (*np.shape(heading_rad), 3, 3))
+    if angles == "bow":
+        return deck_from_enu(heading_rad, np.zeros_like(heading_rad), np.zeros_like(heading_rad))
+    return deck_from_enu(heading_rad, roll_rad, pitch_rad)
+
+
+# ----------------------------------------------------------------------------------------------------------------- own ship
+
+
+class _Curve(NamedTuple):
+    """An angle of own ship over time: cubic pieces through its reports (k,), where it was not silent for longer than `gap_s`."""
+
+    time_s: FloatArray
+    value: FloatArray
+    slope: FloatArray
+    gap_s: float
+
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """The angle (n,) at times (n,), NaN where it is not known, and where it is."""
+        t = self.time_s
+        if len(t) < 2:
+            return np.full(len(time_s), np.nan), np.zeros(len(time_s), bool)
+        k = np.clip(np.searchsorted(t, time_s, side="right"), 1, len(t) - 1)
+        step = t[k] - t[k - 1]
+        known = (time_s >= t[0]) & (time_s <= t[-1]) & (step <= self.gap_s)
+        w = (time_s - t[k - 1]) / step
+        a, b = self.value[k - 1], self.value[k]
+        h10, h11 = w * (1 - w) * (1 - w) * step, w * w * (w - 1) * step
+        both = w * w * (3 - 2 * w)
+        return np.where(known, (1 - both) * a + both * b + h10 * self.slope[k - 1] + h11 * self.slope[k], np.nan), known
+
+    def ahead(self, time_s: FloatArray, ahead_s: float) -> FloatArray:
+        """The angle (n,) `ahead_s` after times (n,); where only the time itself is known, by the motion on its other side."""
+        now = self.at(time_s)[0]
+        if ahead_s == 0.0:
+            return now
+        then, there = self.at(time_s + ahead_s)
+        mirrored, known = self.at(time_s - ahead_s)
+        return np.where(np.isnan(now) | there, np.where(np.isnan(now), np.nan, then), np.where(known, 2 * now - mirrored, now))
+
+
+def _curve(time_s: FloatArray, value: FloatArray, gap_s: float) -> _Curve:
+    """Reports (n,) of an angle, NaN where there is none, as a curve; the slopes are those of parabolas through three reports."""
+    good = np.flatnonzero(np.isfinite(time_s) & np.isfinite(value))
+    t, first = np.unique(time_s[good], return_index=True)
+    v = np.unwrap(value[good[first]])
+    if len(t) < 2:
+        return _Curve(t, v, np.zeros(len(t)), gap_s)
+    step, rise = np.diff(t), np.diff(v) / np.diff(t)
+    whole = step <= gap_s
+    left, right = np.r_[False, whole], np.r_[whole, False]
+    before, after = np.r_[rise[0], rise], np.r_[rise, rise[-1]]
+    gone, coming = np.r_[step[0], step], np.r_[step, step[-1]]
+    middle = (before * coming + after * gone) / (gone + coming)
+    slope = np.where(left & right, middle, np.where(left, before, np.where(right, after, 0.0)))
+    return _Curve(t, v, slope, gap_s)
 
 
 def position_at(platform: Platform, time_s: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -46,69 +133,250 @@ def position_at(platform: Platform, time_s: FloatArray) -> tuple[FloatArray, Boo
     return at, (time_s >= stamps[0]) & (time_s <= stamps[-1]) & (gap <= _MAX_GAP_S)
 
 
-def about_platform(fixes: Fixes, platform: Platform, sensor: Sensor) -> tuple[Fixes, Sensor, tuple[str, ...]]:
-    """The fixes as the moving radar sees them, about one fixed point, and the sensor standing there.
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """How one moving antenna sees the reference: `view(states, time_s)` are the states about one fixed point.
 
-    `fixes` are geodetic.  The fixed point is where the platform was first; the antenna's height is the sensor's own `height_m`
-    where that is given (ellipsoidal), else the platform's.  Velocities are left to be found from the positions.  Fixes at times
-    when the platform's position is not known are left out, and counted.
+    `own` is the way of own ship's reference point; `arm` (3,) the antenna's starboard, forward and up from it, metres.  `site`
+    (3,), ECEF metres, and `rotation` (3, 3), enu_from_ecef, are the fixed point's.  `angles` tells what azimuth and elevation are
+    measured from: those axes come to lie along the fixed point's east, north and up.
+    """
+
+    own: Trajectories
+    heading: _Curve
+    roll: _Curve | None
+    pitch: _Curve | None
+    arm: FloatArray
+    angles: str
+    site: FloatArray
+    rotation: FloatArray
+
+    @property
+    def turns(self) -> bool:
+        """Whether the heading enters."""
+        return self.angles != "north" or bool(self.arm.any())
+
+    @property
+    def swings(self) -> bool:
+        """Whether roll and pitch enter."""
+        return self.roll is not None and (self.angles == "deck" or bool(self.arm.any()))
+
+    def known(self, time_s: FloatArray) -> dict[str, BoolArray]:
+        """Where (n,) what is needed of own ship is known at times (n,): position, heading, roll and pitch."""
+        out = {"position": states(self.own, np.zeros(len(time_s), np.int64), time_s).valid}
+        if self.turns:
+            out["heading"] = self.heading.at(time_s)[1]
+        if self.swings and self.roll is not None and self.pitch is not None:
+            out["roll and pitch"] = self.roll.at(time_s)[1] & self.pitch.at(time_s)[1]
+        return out
+
+    def _attitude(self, time_s: FloatArray, ahead_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        level = np.zeros(len(time_s))
+        heading = self.heading.ahead(time_s, ahead_s) if self.turns else level
+        if not self.swings or self.roll is None or self.pitch is None:
+            return heading, level, level
+        return heading, self.roll.ahead(time_s, ahead_s), self.pitch.ahead(time_s, ahead_s)
+
+    def pose(self, time_s: FloatArray, ahead_s: float = 0.0, own: States | None = None) -> tuple[FloatArray, FloatArray]:
+        """Where the antenna is (n, 3), ECEF metres, and the rotation (n, 3, 3) from ECEF to its axes, at times (n,).
+
+        NaN where own ship's position or attitude is not known.  `ahead_s` later by the motion at those times.
+        """
+        own = states(self.own, np.zeros(len(time_s), np.int64), time_s) if own is None else own
+        place = own.position + ahead_s * own.velocity + (0.5 * ahead_s**2) * own.acceleration
+        latitude, longitude, _ = geodetic_from_ecef(place)
+        level = enu_from_ecef(latitude, longitude)
+        attitude = self._attitude(time_s, ahead_s)
+        if self.arm.any():
+            place = place + rotate_back(level, rotate_back(deck_from_enu(*attitude), self.arm))
+        return place, level if self.angles == "north" else antenna_axes(self.angles, *attitude) @ level
+
+    def __call__(self, seen: States, time_s: FloatArray) -> States:
+        """The states (n,) at times (n,) as the antenna sees them; not valid where own ship's place or attitude is not known."""
+        own = states(self.own, np.zeros(len(time_s), np.int64), time_s)
+        h = _RATE_S
+        near: list[FloatArray] = []
+        axes = self.rotation
+        for ahead in (-2 * h, -h, h, 2 * h, 0.0):
+            origin, axes = self.pose(time_s, ahead, own)
+            there = seen.position + ahead * seen.velocity + (0.5 * ahead * ahead) * seen.acceleration
+            near.append(rotate(axes, there - origin))
+        long_before, before, after, long_after, now = near
+        rate = (8 * (after - before) - (long_after - long_before)) / (12 * h)
+        second = (16 * (after + before) - (long_after + long_before) - 30 * now) / (12 * h * h)
+        # From Earth-centred axes to the antenna's, taken for those of the fixed point.
+        turn = self.rotation.T @ axes
+        valid = seen.valid & np.isfinite(now).all(axis=1)
+        nothing = np.where(valid, 0.0, np.nan)
+        position = self.site + rotate_back(self.rotation, now)
+        return States(
+            position=position + nothing[:, None],
+            velocity=rotate_back(self.rotation, rate) + nothing[:, None],
+            acceleration=rotate_back(self.rotation, second) + nothing[:, None],
+            covariance=turn @ seen.covariance @ np.swapaxes(turn, 1, 2) + nothing[:, None, None],
+            heading_rad=_turned(seen.heading_rad, seen.position, position, turn) + nothing,
+            length_m=seen.length_m + nothing,
+            valid=valid,
+            source=np.where(valid, seen.source, np.int32(-1)),
+        )
+
+
+def _turned(heading_rad: FloatArray, position: FloatArray, seen: FloatArray, turn: FloatArray) -> FloatArray:
+    """Headings (n,) at true positions as headings at those about the fixed point, where everything is turned."""
+    ahead = np.stack([np.sin(heading_rad), np.cos(heading_rad), np.zeros(len(heading_rad))], axis=1)
+    latitude, longitude, _ = geodetic_from_ecef(position)
+    ahead = rotate(turn, rotate_back(enu_from_ecef(latitude, longitude), ahead))
+    latitude, longitude, _ = geodetic_from_ecef(seen)
+    local = rotate(enu_from_ecef(latitude, longitude), ahead)
+    return wrap_turn(np.arctan2(local[:, 0], local[:, 1]))
+
+
+# -------------------------------------------------------------------------------------------------------------------- radars
+
+
+def moving(plots: Plots, platform: Platform) -> list[int]:
+    """The ids of the sensors among `plots` whose platform moves, in order: those with own ship's position at several times."""
+    placed = np.isfinite(platform.time_s) & np.isfinite(platform.latitude_rad) & np.isfinite(platform.longitude_rad)
+    keys = np.intersect1d(plots.sensor, platform.sensor[placed])
+    return [int(k) for k in keys if len(np.unique(platform.time_s[placed & (platform.sensor == k)])) > 1]
+
+
+def view_of(platform: Platform, sensor: Sensor) -> tuple[View, Sensor, tuple[str, ...]]:
+    """How the moving radar `sensor` sees the reference, the sensor as it stands at the fixed point, and what is to be said.
+
+    The fixed point is where the platform was first.  The antenna's height is the sensor's own `height_m` where that is given
+    (ellipsoidal, at rest), else the platform's median and the lever arm: heave is not looked at.
+
+    Raises SettingsError where angles are from the bow and nothing tells own ship's heading.
     """
     own = platform[platform.sensor == sensor.key]
-    here, known = position_at(own, fixes.time_s)
-    known &= np.isfinite(fixes.latitude_rad) & np.isfinite(fixes.longitude_rad)
-    height = np.where(np.isfinite(fixes.height_m), fixes.height_m, 0.0)
-    there = ecef_from_geodetic(fixes.latitude_rad, fixes.longitude_rad, height)
-    first = int(np.flatnonzero(np.isfinite(own.latitude_rad))[0])
-    latitude, longitude = float(own.latitude_rad[first]), float(own.longitude_rad[first])
-    level = float(own.height_m[first]) if np.isfinite(own.height_m[first]) else 0.0
-    lat, lon, up = geodetic_from_ecef(here)
-    # The platform's own height does not enter: heave is not what the antenna's height is about.
-    flat = ecef_from_geodetic(lat, lon, np.full(len(lat), level))
-    enu = rotate(enu_from_ecef(lat, lon), there - flat)
-    site, rotation = ecef_from_geodetic(latitude, longitude, level), enu_from_ecef(latitude, longitude)
-    lat, lon, up = geodetic_from_ecef(site + rotate_back(rotation, enu))
-    nothing = np.full(len(fixes), np.nan)
-    seen = fixes.replace(
-        latitude_rad=lat,
-        longitude_rad=lon,
-        height_m=up,
-        velocity_east_mps=nothing,
-        velocity_north_mps=nothing,
-        velocity_up_mps=nothing,
-    )[known]
+    there = np.isfinite(own.latitude_rad) & np.isfinite(own.longitude_rad) & np.isfinite(own.time_s)
+    first = int(np.flatnonzero(there)[np.argmin(own.time_s[there])])
+    arm = np.array(sensor.lever_arm_m or (0.0, 0.0, 0.0))[[1, 0, 2]]
+    angles = sensor.angles
+    heights = own.height_m[there & np.isfinite(own.height_m)]
     antenna = sensor.ellipsoidal_height_m
+    level = float(np.median(heights)) if len(heights) else 0.0
+    level = level if antenna is None else antenna - float(arm[2])
+    said = [f"{sensor.name}: its platform moves: the reference is taken relative to it, and the map is about the radar"]
+    heading = _curve(own.time_s, own.heading_rad, _MAX_GAP_S)
+    roll, pitch = (_curve(own.time_s, angle, _SWING_GAP_S) for angle in (own.roll_rad, own.pitch_rad))
+    if len(heading.time_s) < 2:
+        if angles != "north":
+            raise SettingsError(
+                f"{sensor.name!r} measures from the bow (angles = {angles!r}), and nothing tells own ship's heading",
+                where="sensors.toml",
+                remedy='Give a recording with own ship\'s heading (HDT, THS, HDG), or angles = "north" where it is in already.',
+            )
+        if arm.any():
+            size = float(np.linalg.norm(arm))
+            said.append(
+                f"{sensor.name}: nothing tells own ship's heading, so the lever arm is not applied: the antenna is up to "
+                f"{size:.1f} m from where it is taken to be"
+            )
+            arm = np.zeros(3)
+    swings = len(roll.time_s) > 1 and len(pitch.time_s) > 1
+    if not swings and (arm.any() or angles == "deck"):
+        effect = []
+        if angles == "deck":
+            effect.append(
+                "shifts elevations by up to 1° and azimuths by up to the tangent of the elevation (0.02° at 1°, 0.18° at 10°)"
+            )
+        if arm.any():
+            effect.append(f"moves the antenna by up to {np.radians(float(np.linalg.norm(arm))):.2f} m")
+        words = " and ".join(effect)
+        said.append(f"{sensor.name}: nothing tells own ship's roll and pitch, so a level deck is assumed: each degree {words}")
+    latitude, longitude = float(own.latitude_rad[first]), float(own.longitude_rad[first])
+    height = level + float(arm[2])
+    way = trajectories(
+        Fixes(
+            time_s=own.time_s[there],
+            source=np.zeros(int(there.sum())),
+            latitude_rad=own.latitude_rad[there],
+            longitude_rad=own.longitude_rad[there],
+            height_m=np.full(int(there.sum()), level),
+            # An address, unlike a track number, stays one target over any pause.
+            mode_s=np.ones(int(there.sum())),
+            horizontal_sd_m=np.full(int(there.sum()), _OWN_SD_M),
+        ),
+        max_gap_s=_MAX_GAP_S,
+    )
+    view = View(
+        own=way,
+        heading=heading,
+        roll=roll if swings else None,
+        pitch=pitch if swings else None,
+        arm=arm,
+        angles=angles,
+        site=ecef_from_geodetic(latitude, longitude, height),
+        rotation=enu_from_ecef(latitude, longitude),
+    )
     fixed = msgspec.structs.replace(
+        sensor, lat_deg=float(np.degrees(latitude)), lon_deg=float(np.degrees(longitude)), height_m=height, height_msl_m=None
+    )
+    return view, fixed, tuple(said)
+
+
+def platform_views(plots: Plots, platform: Platform, sensors: Sensors) -> tuple[Plots, dict[int, View], Sensors, tuple[str, ...]]:
+    """What moving radars among the `plots` need: plots and sensors to go on with, a `View` by sensor id, what is to be said.
+
+    Radars that stand still are left as they are; several may move, each with the platform's rows of its own id.  Bearings that a
+    reader has turned by own ship's heading (`Flag.FROM_BOW`) are turned back where `angles` say bow or deck: the heading enters
+    once, and with its rates.  A radar whose own ship tells one position only stands there.  Plots at times when what is needed of
+    own ship is not known are counted; nothing is compared with them.
+
+    Raises SettingsError where angles are from the bow and nothing tells own ship's heading.
+    """
+    views: dict[int, View] = {}
+    said: list[str] = []
+    entries = list(sensors)
+    ids = moving(plots, platform)
+    azimuth = plots.azimuth_rad
+    for k, sensor in enumerate(entries):
+        rows = plots.sensor == sensor.key
+        if not rows.any():
+            continue
+        if sensor.key not in ids:
+            entries[k] = _standing(platform, sensor, said)
+            continue
+        view, entries[k], words = view_of(platform, sensor)
+        views[sensor.key] = view
+        said += words
+        time = plots.time_s[rows]
+        for what, known in view.known(time).items():
+            if not known.all():
+                count = f"{np.count_nonzero(~known):,} of {len(known):,} plots"
+                said.append(f"{sensor.name}: {count} are at times when the platform's own {what} is not known: not used")
+        added = rows & ((plots.flags & np.uint32(Flag.FROM_BOW)) != 0)
+        if view.angles != "north" and added.any():
+            azimuth = azimuth.copy()
+            heading, known = view.heading.at(plots.time_s[added])
+            azimuth[added] = np.where(known, wrap_turn(azimuth[added] - heading), np.nan)
+    if azimuth is not plots.azimuth_rad:
+        plots = plots.replace(azimuth_rad=azimuth)
+    return plots, views, msgspec.structs.replace(sensors, sensor=tuple(entries)), tuple(said)
+
+
+def _standing(platform: Platform, sensor: Sensor, said: list[str]) -> Sensor:
+    """The entry of a radar that does not move, at own ship's only position where it has none of its own."""
+    if sensor.angles != "north":
+        raise SettingsError(
+            f"{sensor.name!r} measures from the bow (angles = {sensor.angles!r}), and its recording tells nothing of own ship",
+            where="sensors.toml",
+            remedy="Give a recording with own ship's position and heading, or leave angles out.",
+        )
+    if sensor.lever_arm_m is not None and any(sensor.lever_arm_m):
+        said.append(f"{sensor.name}: its recording tells nothing of a moving platform, so lever_arm_m is not used")
+    own = platform[(platform.sensor == sensor.key) & np.isfinite(platform.latitude_rad) & np.isfinite(platform.longitude_rad)]
+    if sensor.lat_deg is not None or not len(own):
+        return sensor
+    said.append(f"{sensor.name}: own ship tells one position: the radar is taken to stand there")
+    height = sensor.ellipsoidal_height_m
+    reported = float(own.height_m[0]) if np.isfinite(own.height_m[0]) else None
+    return msgspec.structs.replace(
         sensor,
-        lat_deg=float(np.degrees(latitude)),
-        lon_deg=float(np.degrees(longitude)),
-        height_m=level if antenna is None else antenna,
+        lat_deg=float(np.degrees(own.latitude_rad[0])),
+        lon_deg=float(np.degrees(own.longitude_rad[0])),
+        height_m=reported if height is None else height,
         height_msl_m=None,
     )
-    said = [f"{sensor.name}: its platform moves: the reference is taken relative to it, and the map is about the radar"]
-    if not known.all():
-        count = f"{(~known).sum():,} of {len(fixes):,} reference positions"
-        said.append(f"{count} are at times when the platform's own is not known: not used")
-    return seen, fixed, tuple(said)
-
-
-def fix_platforms(plots: Plots, fixes: Fixes, platform: Platform, sensors: Sensors) -> tuple[Fixes, Sensors, tuple[str, ...]]:
-    """`about_platform` for the one moving radar among the plots; nothing changes where none moves.
-
-    Raises SettingsError where a moving radar is mixed with others: each has a reference of its own then.
-    """
-    ids = moving(plots, platform)
-    if not ids:
-        return fixes, sensors, ()
-    others = np.setdiff1d(plots.sensor, ids).tolist()
-    if len(ids) > 1 or others:
-        names = ", ".join(s.name for s in sensors if s.key in [*ids, *others])
-        raise SettingsError(
-            f"the radars {names} are given together, and at least one of them moves",
-            where="PLOTS",
-            remedy="Calibrate a moving radar by itself.",
-        )
-    sensor = sensors.find(ids[0])
-    if sensor is None:
-        return fixes, sensors, ()
-    seen, fixed, said = about_platform(fixes, platform, sensor)
-    return seen, msgspec.structs.replace(sensors, sensor=tuple(fixed if s.key == fixed.key else s for s in sensors)), said
