@@ -392,15 +392,16 @@ def _overhead(mapped: FloatArray, spread: FloatArray) -> BoolArray:
     return np.asarray(over | (mapped[:, 0] * level < _AXIS_M))
 
 
-def _directions(value: FloatArray, covariance: FloatArray, source: Frame, target: Polar) -> FloatArray:
+def _directions(value: FloatArray, covariance: FloatArray, source: Frame, target: Frame) -> FloatArray:
     """Covariance (n, 3, 3) of range, azimuth, elevation about `target` where a spread reaches over the radar, or holds it.
 
     Mean squares about the mapped value over a normal position, by Gauss and Hermite's rule; an azimuth's no larger than that of
     any, which it is where even the spread does not tell a direction.
     """
-    node, weight = np.polynomial.hermite_e.hermegauss(_NODES)
-    node, weight = np.stack(np.meshgrid(node, node, node, indexing="ij"), axis=-1).reshape(-1, 3), weight / weight.sum()
-    weight = np.einsum("i,j,k->ijk", weight, weight, weight).ravel()
+    assert isinstance(target, Polar)
+    one, share = np.polynomial.hermite_e.hermegauss(_NODES)
+    node = np.stack(np.meshgrid(one, one, one, indexing="ij"), axis=-1).reshape(-1, 3)
+    weight = np.einsum("i,j,k->ijk", share, share, share).ravel() / share.sum() ** 3
     position, outward = source.to_ecef(value)
     enu = rotate(target.rotation, position - target.site)
     root = _root(propagate(target.rotation @ outward, covariance))

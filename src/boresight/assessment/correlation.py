@@ -19,7 +19,7 @@ import numpy as np
 
 from .. import filters
 from .._types import BoolArray, FloatArray, IntArray
-from ..errors import InputError, NothingToDo, SettingsError
+from ..errors import NothingToDo, SettingsError
 from ..filters import ConstantVelocity, CoordinatedTurn, Imm, imm_filter, one_point
 from ..measure import enu_from_polar, polar_motion, wrap_rad
 from ..registration.per_channel import (
@@ -34,7 +34,8 @@ from ..registration.per_channel import (
     rows_of,
 )
 from ..terms import DEG, Geometry
-from .residuals import Residuals, load_residuals
+from .distribution import result_residuals, target_numbers
+from .residuals import Residuals
 
 Motion = Literal["straight", "curved", "all"]
 # So many scans matched are needed to say anything, and so many of one motion to take it alone.
@@ -266,33 +267,10 @@ def traces_of_result(folder: str | Path, targets: tuple[str, str], sensor: str |
     Raises InputError for a folder without residuals, SettingsError for a target or a sensor that is not in it or where several
     sensors saw both, NothingToDo for traces that are too short.
     """
-    from ..calibration import load_calibration
-    from ..reading.tables import parquet_columns
-
-    folder = Path(folder)
-    path = folder / "residuals.parquet"
-    if not path.is_file():
-        raise InputError("has no residuals.parquet", path=folder, remedy="Give the folder that calibrate --out has written.")
-    found, columns = load_residuals(path), parquet_columns(path)
-    names = columns.get("target_name", np.full(len(found), None, object))
-    by_name = {str(name): int(k) for name, k in zip(names.tolist(), found.target.tolist(), strict=True) if name is not None}
-    numbers = set(found.target.tolist())
-    wanted = []
-    for target in targets:
-        number = by_name.get(target, int(target) if target.isdigit() and int(target) in numbers else None)
-        if number is None:
-            keys, count = np.unique(found.target, return_counts=True)
-            known = {k: name for name, k in by_name.items()}
-            most = [known.get(int(k), str(k)) for k in keys[np.argsort(-count, kind="stable")[:8]]]
-            raise SettingsError(
-                f"no target is called {target!r}",
-                where="--targets",
-                remedy=f"Those with most plots: {', '.join(most) or 'none'}.",
-            )
-        wanted.append(number)
+    found, named, called = result_residuals(folder)
+    wanted = target_numbers(found, named, targets)
     seen = [set(found.sensor[found.target == number].tolist()) for number in wanted]
     both = sorted(seen[0] & seen[1])
-    called = {s.name: s.sensor for s in load_calibration(folder / "calibration.json").sensors}
     if sensor is not None:
         if sensor not in called:
             raise SettingsError(f"there is no sensor {sensor!r}", where="--sensor", remedy=f"Sensors: {', '.join(called)}.")

@@ -11,7 +11,13 @@ from cyclopts import App, Parameter
 from ..errors import NothingToDo, SettingsError
 from ._options import Json, print_json
 
-assess = App(name="assess", help="Judge a result: against a requirement, or by two targets.", help_format="plaintext")
+Component = Literal["range", "azimuth", "elevation", "east", "north", "along", "cross"]
+
+assess = App(
+    name="assess",
+    help="Judge a result: against a requirement, by how its errors are distributed, or by two targets.",
+    help_format="plaintext",
+)
 
 
 @assess.command
@@ -108,10 +114,7 @@ def correlation(
     """
     from ..assessment.correlation import correlate, correlation_json, correlation_text, traces_of_result
 
-    if out is not None and out.suffix.lower() not in (".html", ".json"):
-        raise SettingsError(f"{out} is neither .html nor .json", where="--out", remedy="Name a page or a JSON file.")
-    if out is not None and out.exists():
-        raise SettingsError(f"{out} exists", where="--out", remedy="Name another file.")
+    _check_out(out)
     if len(targets) != 2 or targets[0] == targets[1]:
         raise SettingsError("two different targets are needed", where="--targets", remedy="Give two names, as --targets A B.")
     found = correlate(*traces_of_result(result, (targets[0], targets[1]), sensor), motion=motion)
@@ -120,12 +123,79 @@ def correlation(
 
         write_correlation(found, out)
     elif out is not None:
-        import msgspec
-
-        from .._files import write_bytes
-
-        write_bytes(out, msgspec.json.format(msgspec.json.encode(correlation_json(found.found)), indent=2))
+        _write_json(out, correlation_json(found.found))
     if json:
         print_json({"correlation": correlation_json(found.found)})
         return
     print(correlation_text(found.found))
+
+
+@assess.command
+def distribution(
+    result: Path,
+    /,
+    *,
+    sensor: str | None = None,
+    channel: str | None = None,
+    component: Annotated[list[Component] | None, Parameter(name="--component", consume_multiple=True, negative="")] = None,
+    corrected: Annotated[bool, Parameter(name="--corrected", negative="--raw")] = True,
+    targets: Annotated[list[str] | None, Parameter(name="--targets", consume_multiple=True, negative="")] = None,
+    out: Path | None = None,
+    json: Json = False,
+) -> None:
+    """Say how the errors of RESULT are distributed: normal, heavy-tailed, a mixture; and in which steps they were measured.
+
+    Plots of one target are alike: tests and criteria count them for what they are worth.
+
+    Parameters
+    ----------
+    result
+        Folder that calibrate --out has written.
+    sensor
+        Name of a sensor; all without it.
+    channel
+        psr, ssr, mode_s, ssr_psr, mode_s_psr, …: only plots of this channel.
+    component
+        range, azimuth, elevation (these without it), east, north, along, cross.
+    corrected
+        Errors after correction, or as they were recorded (--raw).
+    targets
+        Only plots of these targets, by name or number as in residuals.parquet.
+    out
+        Write figures and numbers to this HTML file (.html), or the numbers to this JSON file (.json).
+    json
+        Print the numbers as JSON.
+    """
+    from ..assessment.distribution import describe_result, distribution_json, distribution_text
+
+    _check_out(out)
+    described = describe_result(
+        result, sensor=sensor, channel=channel, components=component or (), corrected=corrected, targets=targets or ()
+    )
+    if out is not None and out.suffix.lower() == ".html":
+        from ..report.distribution import write_distribution
+
+        write_distribution(described, out)
+    elif out is not None:
+        _write_json(out, distribution_json(described))
+    if json:
+        print_json({"distribution": distribution_json(described)})
+        return
+    print(distribution_text(described))
+
+
+def _check_out(out: Path | None) -> None:
+    """Raise SettingsError for a file that is there already, or is neither a page nor JSON."""
+    if out is not None and out.suffix.lower() not in (".html", ".json"):
+        raise SettingsError(f"{out} is neither .html nor .json", where="--out", remedy="Name a page or a JSON file.")
+    if out is not None and out.exists():
+        raise SettingsError(f"{out} exists", where="--out", remedy="Name another file.")
+
+
+def _write_json(out: Path, value: object) -> None:
+    """Write one JSON document: not-a-number is null."""
+    import msgspec
+
+    from .._files import write_bytes
+
+    write_bytes(out, msgspec.json.format(msgspec.json.encode(value), indent=2))

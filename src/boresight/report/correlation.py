@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,16 @@ _PAGE = """<!doctype html>
 <title>{{ title }}</title><style>{{ css }}
 pre { overflow-x: auto; font-size: .85rem; line-height: 1.35; }</style></head>
 <body><h1>{{ title }}</h1><p class="meta"><span>Boresight {{ version }}</span></p>
+{% if table %}
+<div class="wide"><table><thead><tr>{% for cell in table[0] %}<th>{{ cell }}</th>{% endfor %}</tr></thead><tbody>
+{% for row in table[1:] %}
+<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
+{% endfor %}
+</tbody></table></div>
+{% endif %}
+{% for word in words %}
+<p>{{ word }}</p>
+{% endfor %}
 {% for f in figures %}
 <figure id="{{ f.name }}" role="img" aria-label="{{ f.alt }}">{{ markup(f.svg) }}<figcaption><b>Figure {{ loop.index }}.</b>
 {{ f.caption }}</figcaption></figure>
@@ -127,6 +138,23 @@ def errors_figure(
 
 def write_correlation(found: Correlation, path: str | Path) -> Path:
     """Write the correlation as one self-contained HTML page; beside, then renamed.  Raises InputError."""
+    title = f"Errors of {found.found.targets[0]} and {found.found.targets[1]}"
+    return write_figures(title, correlation_figures(found), correlation_text(found.found), path)
+
+
+def write_figures(
+    title: str,
+    figures: Sequence[Drawing],
+    text: str,
+    path: str | Path,
+    *,
+    table: Sequence[Sequence[str]] = (),
+    words: Sequence[str] = (),
+) -> Path:
+    """Write figures and the numbers behind them as one self-contained HTML page; beside, then renamed.  Raises InputError.
+
+    A `table` (its head first) and paragraphs of `words` stand before the figures.
+    """
     from importlib.resources import files
 
     import jinja2
@@ -134,14 +162,16 @@ def write_correlation(found: Correlation, path: str | Path) -> Path:
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     css = (files("boresight.report") / "style.css").read_text(encoding="utf-8")
-    text = environment.from_string(_PAGE).render(
-        title=f"Errors of {found.found.targets[0]} and {found.found.targets[1]}",
+    page = environment.from_string(_PAGE).render(
+        title=title,
         version=__version__,
         css=markupsafe.Markup(css),
-        figures=correlation_figures(found),
-        text=correlation_text(found.found),
+        table=table,
+        words=words,
+        figures=figures,
+        text=text,
         markup=markupsafe.Markup,
     )
     target = Path(path)
-    write_text(target, text)
+    write_text(target, page)
     return target
