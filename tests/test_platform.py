@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -81,10 +82,10 @@ def place_of(target: Fixes) -> np.ndarray:
     return ecef_from_geodetic(target.latitude_rad[:1], target.longitude_rad[:1], target.height_m[:1])
 
 
-def polar(ship: Platform, target: Fixes, **sensor: object) -> np.ndarray:
+def polar(ship: Platform, target: Fixes, **sensor: Any) -> np.ndarray:
     """Range, azimuth (deg) and elevation (deg) of the target for an antenna of that ship, in the middle of the time."""
-    found = look(ship, target, Sensor(name="ferry", id=65536, kind="marine", **sensor), np.array([30.2]))[1][0]  # type: ignore[arg-type]
-    return found / [1.0, DEG, DEG]
+    found = look(ship, target, Sensor(name="ferry", id=65536, kind="marine", **sensor), np.array([30.2]))[1][0]
+    return np.asarray(found / [1.0, DEG, DEG])
 
 
 # ------------------------------------------------------------------------------------------------------------------ the axes
@@ -228,9 +229,9 @@ def test_a_still_platform_changes_nothing() -> None:
     np.testing.assert_allclose(wrap_rad(seen.heading_rad - plain.heading_rad), 0.0, atol=1e-6)
 
 
-def plots_at(time_s: np.ndarray, key: int = 65536, **columns: object) -> Plots:
+def plots_at(time_s: np.ndarray, key: int = 65536, **columns: Any) -> Plots:
     n = len(time_s)
-    return Plots(time_s=time_s, sensor=np.full(n, key), range_m=np.full(n, 500.0), azimuth_rad=np.linspace(0, 6, n), **columns)  # type: ignore[arg-type]
+    return Plots(time_s=time_s, sensor=np.full(n, key), range_m=np.full(n, 500.0), azimuth_rad=np.linspace(0, 6, n), **columns)
 
 
 def test_silence_is_not_bridged_and_is_counted() -> None:
@@ -308,7 +309,7 @@ def test_impossible_settings_are_refused() -> None:
         ({"lever_arm_m": (0.0, 5000.0, 0.0)}, "lever_arm_m"),
     ):
         with pytest.raises(SettingsError, match=text):
-            check_sensors(Sensors((Sensor(name="ferry", id=65536, **wrong),)))  # type: ignore[arg-type]
+            check_sensors(Sensors((Sensor(name="ferry", id=65536, **wrong),)))
 
 
 def test_angles_from_the_bow_without_own_ship_are_refused() -> None:
