@@ -22,6 +22,7 @@ from boresight.writing.asterix import EPU_M, RADIUS_95, Marks, accuracy_category
 
 EDITIONS = {
     10: [gen.Cat_010_1_1],
+    20: [gen.Cat_020_1_9, gen.Cat_020_1_11],
     21: [gen.Cat_021_2_1, gen.Cat_021_2_6],
     34: [gen.Cat_034_1_27, gen.Cat_034_1_29],
     48: [gen.Cat_048_1_27, gen.Cat_048_1_32],
@@ -188,6 +189,43 @@ def test_fixes_as_cat021(newest: bool) -> None:
         assert (uint(r, "040", "TST") or 0) == (Flag.TEST in flags)
         assert uint(r, "040", "RAB") == (Flag.FIELD_MONITOR in flags)
         assert (uint(r, "020") or 0) == (21 if Flag.VEHICLE in flags else 0)
+
+
+@pytest.mark.parametrize("newest", [True, False])
+def test_multilaterated_fixes_as_cat020(newest: bool) -> None:
+    fixes = some_fixes(7)
+    fixes = fixes.replace(channel=np.full(len(fixes), Channel.MLAT), latitude_rad=np.clip(fixes.latitude_rad, -1.5, 1.5))
+    data, written = encode_asterix(fixes=fixes)
+    found = records(data, newest)
+    assert written.records == len(found) == len(fixes)
+    for k, (category, r) in enumerate(found):
+        flags = Flag(int(fixes.flags[k]))
+        assert category == 20
+        assert uint(r, "010") == fixes.source[k]
+        assert near(quantity(r, "s", "140"), fixes.time_s[k] % 86400, 1 / 128)
+        assert near(quantity(r, "°", "041", "LAT"), math.degrees(fixes.latitude_rad[k]), 180 / 2**25)
+        assert near_angle(quantity(r, "°", "041", "LON"), fixes.longitude_rad[k], 180 / 2**25)
+        assert near(quantity(r, "ft", "105") * 0.3048, fixes.height_m[k], 6.25 * 0.3048)
+        assert near(quantity(r, "FL", "090", "FL") * 30.48, fixes.pressure_altitude_m[k], 7.62)
+        if np.isfinite(fixes.velocity_east_mps[k] + fixes.velocity_north_mps[k]):
+            assert near(quantity(r, "m/s", "202", "VX"), fixes.velocity_east_mps[k], 0.25)
+            assert near(quantity(r, "m/s", "202", "VY"), fixes.velocity_north_mps[k], 0.25)
+        else:
+            assert item(r, "202") is None
+        assert (uint(r, "220") if uint(r, "220") is not None else -1) == fixes.mode_s[k]
+        assert (text(r, "070", "MODE3A") or "-1") == (f"{fixes.mode_3a[k]:04o}" if fixes.mode_3a[k] >= 0 else "-1")
+        assert (uint(r, "161", "TRN") if item(r, "161") else -1) == fixes.track[k]
+        if fixes.horizontal_sd_m[k] < 16e3:
+            assert near(quantity(r, "m", "500", "SDP", "X"), fixes.horizontal_sd_m[k], 0.25)
+            assert quantity(r, "m", "500", "SDP", "X") == quantity(r, "m", "500", "SDP", "Y")
+        if np.isfinite(fixes.vertical_sd_m[k]):
+            assert near(quantity(r, "m", "500", "SDH"), fixes.vertical_sd_m[k], 0.5)
+        assert (uint(r, "020", "MS"), uint(r, "020", "SSR")) == ((1, 0) if fixes.mode_s[k] >= 0 else (0, 1))
+        assert (uint(r, "020", "GBS") or 0) == (Flag.GROUND in flags)
+        assert (uint(r, "020", "SIM") or 0) == (Flag.SIMULATED in flags)
+        assert (uint(r, "020", "TST") or 0) == (Flag.TEST in flags)
+        assert (uint(r, "020", "RAB") or 0) == (Flag.FIELD_MONITOR in flags)
+        assert (item(r, "300") is not None) == (Flag.VEHICLE in flags)
 
 
 def test_north_marks_and_sectors_as_cat034() -> None:

@@ -20,7 +20,7 @@ from .._types import AnyArray, FloatArray, IntArray
 from ..errors import InputError, SettingsError
 from ..geodesy import E2, SEMI_MAJOR_M, ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate
 from ..measure import position_from_height, position_from_plane
-from ..model import Fixes, Sensors, Tracks, pack_callsigns, unpack_callsigns
+from ..model import Fixes, Recording, Sensors, Tracks, pack_callsigns, unpack_callsigns
 from .truth import GRAVITY_MPS2, STEP_S, Aircraft, Atmosphere, Ships, Traffic, Truth, equip_aircraft, smooth_curve
 
 if TYPE_CHECKING:
@@ -331,6 +331,8 @@ _BANK_MPS2 = GRAVITY_MPS2 * math.tan(math.radians(25.0))
 # The steepest slope of the blending from 0 to 1 over a unit.
 _STEEPEST = 1.875
 _BRIDGED_S = 120.0
+# Of positions that do not tell how good they are.
+_UNTOLD_SD_M = 5.0
 
 
 class _Way(NamedTuple):
@@ -426,13 +428,13 @@ def _geodesic(
     return out[:, 0], out[:, 1], out[:, 2]
 
 
-def _moved(latitude: float, longitude: float, bearing: float, distance: float) -> tuple[float, float]:
-    """The place so far away, along the tangent plane."""
+def _moved(latitude: float, longitude: float, height: float, bearing: float, distance: float) -> tuple[float, float]:
+    """The place so far away, in the horizontal plane."""
     if distance == 0:
         return latitude, longitude
-    origin, axes = ecef_from_geodetic(latitude, longitude, 0.0), enu_from_ecef(latitude, longitude)
+    origin, axes = ecef_from_geodetic(latitude, longitude, height), enu_from_ecef(latitude, longitude)
     east, north = np.array([distance * math.sin(bearing)]), np.array([distance * math.cos(bearing)])
-    lat, lon, _ = geodetic_from_ecef(position_from_plane(east, north, np.zeros(1), origin, axes))
+    lat, lon, _ = geodetic_from_ecef(position_from_plane(east, north, np.array([height]), origin, axes))
     return float(lat[0]), float(lon[0])
 
 
@@ -451,6 +453,7 @@ class _Scene(NamedTuple):
     atmosphere: Atmosphere
     sea_level_m: float
     radars: Sequence[Radar]
+    recordings: dict[tuple[str, datetime.date | None], Recording]
 
     def radar(self, name: str | None) -> Radar:
         return next(r for r in self.radars if name in (None, r.name))
@@ -486,7 +489,7 @@ def _from_start(target: Target, copy: int, scene: _Scene) -> _Way:
             goal = math.radians(target.towards_lat_deg or 0.0), math.radians(target.towards_lon_deg or 0.0)
     course = math.radians(target.course_deg or 0.0) if goal is None else _bearing(lat, lon, *goal)
     aside = course + math.pi / 2 if target.spacing_deg is None else math.radians(target.spacing_deg)
-    lat, lon = _moved(lat, lon, aside, copy * target.spacing_m)
+    lat, lon = _moved(lat, lon, float(level[0]), aside, copy * target.spacing_m)
     course = course if goal is None else _bearing(lat, lon, *goal)
 
     start = (target.start_s or 0.0) + copy * target.spacing_s
@@ -529,10 +532,14 @@ def _through_waypoints(target: Target, copy: int, scene: _Scene) -> _Way:
     points, ship = target.waypoint, is_ship(target)
     place = np.radians([[p.lat_deg, p.lon_deg] for p in points])
     aside = _bearing(*place[0], *place[1]) + math.pi / 2 if target.spacing_deg is None else math.radians(target.spacing_deg)
-    place = np.array([_moved(lat, lon, aside, copy * target.spacing_m) for lat, lon in place.tolist()])
     level = np.array([target.height_m if p.height_m is None else p.height_m for p in points], np.float64)
     level = np.where(np.isfinite(level), level, 0.0)
-    spot = ecef_from_geodetic(place[:, 0], place[:, 1], scene.heights(target, level))
+    height = scene.heights(target, level)
+    moved = [
+        _moved(lat, lon, up, aside, copy * target.spacing_m)
+        for (lat, lon), up in zip(place.tolist(), height.tolist(), strict=True)
+    ]
+    spot = ecef_from_geodetic([lat for lat, _ in moved], [lon for _, lon in moved], height)
     leg = np.diff(spot, axis=0)
     start = (target.start_s or 0.0) + copy * target.spacing_s
     if points[0].time_s is not None:
@@ -582,13 +589,16 @@ def _recorded(target: Target, scene: _Scene) -> tuple[_Way, _Who, Target]:
     from ..alignment import locate, states, trajectories
     from ..reading import read
 
-    recording = read(target.recording or "", date=target.date)
+    path = target.recording or ""
+    if (path, target.date) not in scene.recordings:
+        scene.recordings[path, target.date] = read(path, date=target.date)
+    recording = scene.recordings[path, target.date]
     fixes = recording.fixes if len(recording.fixes) else _fixes_of(recording.tracks)
     if len(fixes) and not np.isfinite(fixes.latitude_rad).any():
         fixes, _ = locate(fixes, Sensors(sensor=()), recording.sources)
     fixes = fixes[np.isfinite(fixes.latitude_rad) & np.isfinite(fixes.longitude_rad) & np.isfinite(fixes.time_s)]
     if not len(fixes):
-        raise InputError("there are no positions in it to be replayed", path=target.recording, remedy="Give another recording.")
+        raise InputError("there are no positions in it to be replayed", path=path, remedy="Give another recording.")
     fixes, who = _one_of(fixes, target)
     if target.craft is None:
         target = msgspec.structs.replace(target, craft="ship" if target.mmsi is not None or who.mmsi >= 0 else "aircraft")
@@ -602,7 +612,7 @@ def _recorded(target: Target, scene: _Scene) -> tuple[_Way, _Who, Target]:
     step = float(np.clip(np.median(updates[updates > 0]), STEP_S, 10.0)) if (updates > 0).any() else STEP_S
     span = float(fixes.time_s[-1] - fixes.time_s[0])
     if span < 8 * step:
-        raise InputError(f"its positions of that target span {span:.0f} s, which is no way", path=target.recording)
+        raise InputError(f"its positions of that target span {span:.0f} s, which is no way", path=path)
     # One target, whoever sent it: the identity is settled already.
     plain = Fixes(**{
         name: getattr(fixes, name)
@@ -615,9 +625,10 @@ def _recorded(target: Target, scene: _Scene) -> tuple[_Way, _Who, Target]:
     found = states(fitted, np.full(len(grid), number), grid)
     known = np.flatnonzero(found.valid)
     if len(known) < 8:
-        raise InputError("its positions of that target do not make a way", path=target.recording, remedy="Give another target.")
-    grid = grid[known[0] : known[-1] + 1]
-    position = _bridged(grid, grid[known - known[0]], found.position[known], found.velocity[known])
+        raise InputError("its positions of that target do not make a way", path=path, remedy="Give another target.")
+    grid, at = grid[known[0] : known[-1] + 1], known - known[0]
+    tell = fixes.horizontal_sd_m[np.isfinite(fixes.horizontal_sd_m) & (fixes.horizontal_sd_m > 0)]
+    position = _smoothed(len(grid), at, found.position[known], float(np.median(tell)) if len(tell) else _UNTOLD_SD_M)
     heading = np.zeros(len(grid))
     told = known[np.isfinite(found.heading_rad[known])]
     if len(told):
@@ -631,11 +642,34 @@ def _recorded(target: Target, scene: _Scene) -> tuple[_Way, _Who, Target]:
     return _Way(seconds, latitude, longitude, height, heading, float(seconds[0]), float(seconds[-1])), who, target
 
 
-def _bridged(grid: FloatArray, knot: FloatArray, position: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Positions on the grid: those at the knots, and between knots that are apart the cubic of both positions and velocities."""
-    from scipy.interpolate import CubicHermiteSpline
+def _smoothed(n: int, at: IntArray, position: FloatArray, sd: float) -> FloatArray:
+    """Positions (n, 3) on a regular grid from those (k, 3) at its points `at`: the smoothest that stay near them.
 
-    return np.asarray(CubicHermiteSpline(knot, position, velocity)(grid))
+    The sum of squared distances plus a multiple of the sum of squared third differences is smallest (Whittaker 1923), so gaps
+    are bridged with the least jerk.  The multiple passes motion slower than a period; that is as long as the rms distance per
+    axis stays below half of `sd`.
+    """
+    from scipy.linalg import solveh_banded
+
+    weight = np.zeros(n)
+    weight[at] = 1.0
+    wanted = np.zeros((n, 3))
+    wanted[at] = position - position[0]
+    # The bands of the third differences' normal matrix.
+    third = np.array([-1.0, 3.0, -3.0, 1.0])
+    bands = np.zeros((4, n))
+    for i in range(4):
+        for j in range(i, 4):
+            bands[3 - (j - i), j : n - 3 + j] += third[i] * third[j]
+    out = position
+    for period in (48.0, 32.0, 24.0, 16.0, 12.0, 8.0, 6.0, 4.0, 3.0):
+        stiff = bands / (2.0 * math.sin(math.pi / period)) ** 6
+        stiff[3] += weight
+        out = solveh_banded(stiff, wanted)
+        if math.sqrt(float(np.mean((out[at] - wanted[at]) ** 2))) <= 0.5 * sd:
+            break
+    smooth: FloatArray = out + position[0]
+    return smooth
 
 
 def _fixes_of(tracks: Tracks) -> Fixes:
@@ -775,7 +809,7 @@ def script_targets(
     """
     if not targets:
         return truth
-    scene = _Scene(truth.epoch_s, duration_s, truth.atmosphere, sea_level_m, radars)
+    scene = _Scene(truth.epoch_s, duration_s, truth.atmosphere, sea_level_m, radars, {})
     flying: list[_One] = []
     sailing: list[_One] = []
     for number, target in enumerate(targets, 1):

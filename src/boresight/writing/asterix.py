@@ -1,9 +1,9 @@
-"""Plots and fixes to ASTERIX: CAT048 or CAT010 for plots, CAT034 for north marks and sectors, CAT021 for fixes.
+"""Plots and fixes to ASTERIX: CAT048 or CAT010 for plots, CAT034 for north marks and sectors, CAT020 and CAT021 for fixes.
 
-The bytes are what editions 1.27 to 1.32 of CAT048, 2.1 to 2.6 of CAT021, 1.27 to 1.29 of CAT034 and 1.1 of CAT010 all read
-alike.  Values are rounded to the standard's quantum (range 1/256 NM or 1 m, azimuth 360/65536 deg, time 1/128 s, level 1/4 FL,
-high-resolution position 180/2^30 deg).  The standard keeps only the time of day, so the date of a file's first record must be
-told when it is read back.
+The bytes are what editions 1.27 to 1.32 of CAT048, 2.1 to 2.6 of CAT021, 1.9 to 1.11 of CAT020, 1.27 to 1.29 of CAT034 and
+1.1 of CAT010 all read alike.  Values are rounded to the standard's quantum (range 1/256 NM or 1 m, azimuth 360/65536 deg, time
+1/128 s, level 1/4 FL, high-resolution position 180/2^30 deg, multilaterated 180/2^25 deg).  The standard keeps only the time of
+day, so the date of a file's first record must be told when it is read back.
 
 All is done a column at a time: records with the same items form one byte matrix, and the matrices are laid into the file in
 the order of time.
@@ -347,16 +347,69 @@ def accuracy_sd_m(category: AnyArray) -> FloatArray:
     return table[np.clip(np.asarray(category, np.int64), 0, 11)]
 
 
-def _encode_021(fixes: Fixes) -> _Encoded:
-    items = _Items(len(fixes))
-    flags, none = fixes.flags, np.zeros(len(fixes), np.int64)
+def _check_fixes(fixes: Fixes) -> None:
     _refuse(~np.isfinite(fixes.time_s), "a fix has no time", "Leave such rows out.")
     _refuse(
         ~(np.isfinite(fixes.latitude_rad) & np.isfinite(fixes.longitude_rad)),
-        "a fix has no latitude and longitude, which CAT021 needs",
+        "a fix has no latitude and longitude, which ASTERIX needs",
         "Make Cartesian positions geodetic first, or leave such rows out.",
     )
     _refuse(fixes.track > 0xFFF, "a track number is above 4095, the largest that ASTERIX holds", "Number the tracks anew.")
+
+
+def _position(fixes: Fixes, bits: int, fraction: int) -> ByteArray:
+    """Latitude and longitude side by side, `bits` each, in quanta of 180 deg / 2^fraction."""
+    # A longitude of 180 deg does not fit a signed field that ends there; -180 deg is the same place.
+    longitude = np.mod(np.rad2deg(fixes.longitude_rad) + 180.0, 360.0) - 180.0
+    parts = [np.rint(v / (180 / (1 << fraction))).astype(np.int64) for v in (np.rad2deg(fixes.latitude_rad), longitude)]
+    parts[1] = np.where(parts[1] >= 1 << fraction, parts[1] - (2 << fraction), parts[1])
+    return np.concatenate([_bytes(p, bits // 8) for p in parts], axis=1)
+
+
+def _encode_020(fixes: Fixes) -> _Encoded:
+    """Fixes of multilateration (edition 1.5 and later); the sd of both axes is the horizontal one."""
+    _check_fixes(fixes)
+    items = _Items(len(fixes))
+    flags, none = fixes.flags, np.zeros(len(fixes), np.int64)
+    source = _source_item(items, fixes.source, "source", 1)
+    addressed = fixes.mode_s >= 0
+    more = [_flag(flags, f) for f in (Flag.FIELD_MONITOR, Flag.GROUND, Flag.SIMULATED, Flag.TEST)]
+    second = np.any(more, axis=0)
+    items.add(2, _bytes(_octet((~addressed, 7), (addressed, 6), (second, 0)), 1))
+    items.add(0, _bytes(_octet((more[0], 7), (more[1], 4), (more[2], 2), (more[3], 1)), 1), second)
+    items.add(3, _bytes(_time_of_day(fixes.time_s), 3))
+    items.add(4, _position(fixes, 32, 25))
+    _identity(items, fixes.track, 6, 2)
+    ended, extrapolated = _flag(flags, Flag.TRACK_END), _flag(flags, Flag.EXTRAPOLATED)
+    items.add(7, _bytes(_octet((ended, 6), (extrapolated, 5)), 1), (fixes.track >= 0) | ended | extrapolated)
+    garbled = _flag(flags, Flag.GARBLED)
+    code = np.maximum(fixes.mode_3a.astype(np.int64), 0) & 0xFFF
+    items.add(8, _bytes(code | garbled.astype(np.int64) << 14, 2), (fixes.mode_3a >= 0) | garbled)
+    east, vx = items.scaled("velocity_east_mps", fixes.velocity_east_mps, 0.25, 16)
+    north, vy = items.scaled("velocity_north_mps", fixes.velocity_north_mps, 0.25, 16)
+    items.add(9, np.concatenate([_bytes(vx, 2), _bytes(vy, 2)], axis=1), east & north)
+    level, quarter = items.scaled("pressure_altitude_m", fixes.pressure_altitude_m, 25 * FOOT_M, 14)
+    items.add(10, _bytes(quarter & 0x3FFF, 2), level)
+    _identity(items, fixes.mode_s, 12, 3)
+    items.add(13, np.concatenate([_bytes(none, 1), _bytes(fixes.callsign, 6)], axis=1), fixes.callsign >= 0)
+    high, height = items.scaled("height_m", fixes.height_m, 6.25 * FOOT_M, 16)
+    items.add(15, _bytes(height, 2), high)
+    items.add(17, _bytes(none, 1), _flag(flags, Flag.VEHICLE))
+    known, sd = items.scaled("horizontal_sd_m", fixes.horizontal_sd_m, 0.25, 16, signed=False)
+    third, vertical = items.scaled("vertical_sd_m", fixes.vertical_sd_m, 0.5, 16, signed=False)
+    items.add(19, _bytes(_octet((known, 6), (third, 5)), 1), known | third)
+    # The third number is the covariance of the two axes: none.
+    items.add(0, np.concatenate([_bytes(sd, 2), _bytes(sd, 2), _bytes(none, 2)], axis=1), known)
+    items.add(0, _bytes(vertical, 2), third)
+    items.lose("flags", _flag(flags, Flag.TIME_OF_RECEPTION))
+    _lose_columns(items, fixes, "velocity_up_mps", "heading_rad", "length_m", "width_m", "time_sd_s")
+    return _finish(items, 20, fixes.time_s, source)
+
+
+def _encode_021(fixes: Fixes) -> _Encoded:
+    _check_fixes(fixes)
+    items = _Items(len(fixes))
+    flags, none = fixes.flags, np.zeros(len(fixes), np.int64)
     source = _source_item(items, fixes.source, "source", 1)
     ground, simulated, test = (_flag(flags, f) for f in (Flag.GROUND, Flag.SIMULATED, Flag.TEST))
     more = ground | simulated | test
@@ -366,14 +419,8 @@ def _encode_021(fixes: Fixes) -> _Encoded:
     received = _flag(flags, Flag.TIME_OF_RECEPTION)
     stamp = _bytes(_time_of_day(fixes.time_s), 3)
     items.add(5, stamp, ~received)
-    # A longitude of 180 deg does not fit a signed field; -180 deg is the same place.
-    latitude, longitude = np.rad2deg(fixes.latitude_rad), np.mod(np.rad2deg(fixes.longitude_rad) + 180.0, 360.0) - 180.0
-    for frn, bits in ((6, 24), (7, 32)):
-        lsb = 180 / (1 << (23 if bits == 24 else 30))
-        parts = [np.rint(v / lsb).astype(np.int64) for v in (latitude, longitude)]
-        if bits == 24:
-            parts[1] = np.where(parts[1] >= 1 << 23, -(1 << 23), parts[1])
-        items.add(frn, np.concatenate([_bytes(p, bits // 8) for p in parts], axis=1))
+    items.add(6, _position(fixes, 24, 23))
+    items.add(7, _position(fixes, 32, 30))
     _identity(items, fixes.mode_s, 11, 3)
     items.add(12, stamp, received)
     high, height = items.scaled("height_m", fixes.height_m, 6.25 * FOOT_M, 16)
@@ -451,9 +498,10 @@ def encode_asterix(
 ) -> tuple[bytes, Written]:
     """The tables as ASTERIX data blocks in the order of time, and an account of them.
 
-    Plots become CAT048 records, or CAT010 ones with ``category=10``; fixes become CAT021 (edition 2.x), marks CAT034.  Rows of
-    one time keep their order.  `Plots.height_m` goes to I048/110 (25 ft) as it stands, though the standard means one above mean
-    sea level.  Elevation has no item in CAT048 or CAT010; what is not written is counted in `Written.left_out`.
+    Plots become CAT048 records, or CAT010 ones with ``category=10``; fixes of multilateration become CAT020, all others CAT021
+    (edition 2.x), marks CAT034.  Rows of one time keep their order within a category.  `Plots.height_m` goes to I048/110 (25 ft)
+    as it stands, though the standard means one above mean sea level.  Elevation has no item in CAT048 or CAT010; what is not
+    written is counted in `Written.left_out`.
 
     Raises InputError, with the row, for rows without time or position, sources without SAC/SIC, track numbers above 4095 and
     ranges that the category cannot hold.
@@ -468,7 +516,11 @@ def encode_asterix(
     if plots is not None:
         tables.append(_encode_048(plots) if category == 48 else _encode_010(plots))
     if fixes is not None:
-        tables.append(_encode_021(fixes))
+        located = fixes.channel == Channel.MLAT
+        if located.any():
+            tables.append(_encode_020(fixes[located]))
+        if not located.all():
+            tables.append(_encode_021(fixes[~located]))
     return _assemble(tables, records_per_block)
 
 
