@@ -6,12 +6,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
+from boresight.assessment.detection import RadarEquation
+from boresight.errors import SettingsError
 from boresight.geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate
 from boresight.measure import polar_from_enu, wrap_rad
-from boresight.model import Channel
+from boresight.model import Channel, Pairs, Sensors
+from boresight.registration import register
+from boresight.registration.sequential import online_samples, register_online
 from boresight.simulation import Adsb, Airport, Radar, Scenario, Simulated, Traffic, Truth, simulate
-from boresight.simulation.radar import geometry_at, site
+from boresight.simulation.demo import demo_scene
+from boresight.simulation.drift import Drift, Sine, Step
+from boresight.simulation.radar import Clutter, Gaps, Noise, Observation, check_radar, geometry_at, observe_radar, site
 from boresight.terms import DEG, TERMS, TIME_TERMS, Geometry
 from boresight.writing.asterix import accuracy_sd_m
 
@@ -37,7 +44,7 @@ def residual(run: Simulated, number: int = 0) -> tuple[np.ndarray, Geometry]:
     radar, seen = run.scenario.radar[number], run.observations[number]
     drift = radar.errors.get("clock_drift", 0.0) * 1e-3 / 3600
     # Late by an offset and a rate of the true time: stamp = true * (1 + drift) + offset.
-    when = ((seen.plots.time_s - run.truth.epoch_s) - radar.time_offset_s) / (1 + drift)
+    when = ((seen.plots.time_s - run.truth.epoch_s) - radar.errors.get("time_offset", 0.0)) / (1 + drift)
     position = run.truth.motion(seen.target, when, 0).position
     place = np.radians([radar.lat_deg, radar.lon_deg])
     enu = rotate(enu_from_ecef(*place), position - ecef_from_geodetic(*place, radar.height_m))
@@ -336,3 +343,314 @@ def test_a_radar_that_moves_and_swings_measures_in_its_own_axes(monkeypatch: pyt
         np.testing.assert_allclose((bend / h**2)[inside, k], g.second[inside, k], rtol=1e-3, atol=second)
     ahead, behind = (geometry_at(run.truth, BARE, target[inside], when[inside] + d).second for d in (h, -h))
     np.testing.assert_allclose((ahead - behind)[:, 2] / (2 * h), g.third[inside, 2], rtol=2e-3, atol=1e-5)
+
+
+def table(seen: Observation) -> bytes:
+    columns = [column for _, column in seen.plots._flat()] + [seen.target, seen.seconds, seen.noise, *seen.marks]
+    return b"".join(np.ascontiguousarray(column).tobytes() for column in columns)
+
+
+def test_options_that_say_nothing_new_give_the_same_bytes() -> None:
+    """A drift that is a constant, noise that is white, gaps that never come: all go the new ways, and to the same plots."""
+    plain = demo_scene(2)
+    idle: dict[str, object] = {"noise": {"all": Noise()}, "gaps": Gaps(outage_s=((9e6, 9.1e6),), blind_deg=((50.0, 50.0),))}
+    radars = tuple(
+        changed(radar, **idle, false_plots=3.0, errors={n: Drift(value=v) for n, v in radar.errors.items()})
+        for radar in plain.radar
+    )
+    noisy = tuple(changed(radar, false_plots=3.0) for radar in plain.radar)
+    before = simulate(changed_scene(plain, duration_s=900.0, radar=noisy), 5)
+    after = simulate(changed_scene(plain, duration_s=900.0, radar=radars), 5)
+    assert [table(o) for o in before.observations] == [table(o) for o in after.observations]
+    assert len(before.plots) > 3000
+
+
+def changed_scene(scenario: Scenario, **fields: object) -> Scenario:
+    return Scenario(**({name: getattr(scenario, name) for name in scenario.__struct_fields__} | fields))
+
+
+RESTLESS = Drift(
+    value=0.2, ramp_per_h=0.4, sine=(Sine(amplitude=0.1, period_s=200.0),), step=(Step(at_s=500.0, by=0.3),), walk_per_sqrt_h=0.1
+)
+
+
+def left_over(run: Simulated, number: int = 0) -> tuple[np.ndarray, Observation]:
+    """Measured minus the truth at the passings, and the observation."""
+    radar, seen = run.scenario.radar[number], run.observations[number]
+    g = geometry_at(run.truth, radar, seen.target, seen.seconds)
+    p = seen.plots
+    left = [p.range_m - g.range_m, wrap_rad(p.azimuth_rad - g.azimuth_rad), p.elevation_rad - g.elevation_rad]
+    return np.stack(left, axis=1), seen
+
+
+def test_a_drifting_term_is_in_every_plot_as_its_history_says() -> None:
+    run = scene(changed(BARE, errors={"azimuth_bias": RESTLESS, "range_gain": Drift(ramp_per_h=2.0), "elevation_bias": -0.1}))
+    left, seen = left_over(run)
+    t = seen.seconds
+    np.testing.assert_allclose(left[:, 1] / DEG, seen.errors["azimuth_bias"](t), atol=1e-9)
+    gain = 2.0 * t / 3600 * 1e-3
+    np.testing.assert_allclose(left[:, 0], gain * (seen.plots.range_m - left[:, 0]), atol=1e-6)
+    np.testing.assert_allclose(left[:, 2] / DEG, -0.1, atol=1e-9)
+    known = 0.2 + 0.4 * t / 3600 + 0.1 * np.sin(2 * np.pi * t / 200) + 0.3 * (t >= 500)
+    walk = left[:, 1] / DEG - known
+    assert 0.003 < np.abs(walk).max() < 0.3
+    order = np.argsort(t)
+    assert np.abs(np.diff(walk[order]) / np.sqrt(np.diff(t[order]) + 1.0)).max() < 6 * 0.1 / 60
+
+
+def test_late_stamps_may_drift_and_jump() -> None:
+    late = Drift(value=0.4, ramp_per_h=2.0, sine=(Sine(amplitude=0.05, period_s=100.0),), step=(Step(at_s=400.0, by=-90.0),))
+    run = scene(changed(BARE, kind="combined", false_plots=10.0, errors={"time_offset": late}))
+    seen = run.observations[0]
+    t = seen.seconds
+    told = 0.4 + 2.0 * t / 3600 + 0.05 * np.sin(2 * np.pi * t / 100) - 90.0 * (t >= 400)
+    np.testing.assert_allclose(seen.plots.time_s - run.truth.epoch_s - t, told, atol=5e-7)
+    false = seen.target < 0
+    assert np.count_nonzero(false) > 500
+    assert np.abs(left_over(run)[0][~false]).max() < 1e-6, "the truth is that of the passing"
+    # A radar tells its plots in the order of measuring, whatever its clock does.
+    assert (np.diff(t) >= 0).all()
+    assert np.diff(seen.plots.time_s).min() < -80
+    marks = seen.marks.time_s - run.truth.epoch_s
+    assert marks[0] == pytest.approx(1.25 + 0.4 + 2.0 * 1.25 / 3600 + 0.05 * np.sin(2 * np.pi * 1.25 / 100), abs=1e-6)
+    assert np.diff(marks).min() < -80
+
+
+def test_a_clock_s_rate_adds_up() -> None:
+    rate = Drift(value=200.0, ramp_per_h=4000.0, step=(Step(at_s=300.0, by=-500.0),))
+    seen = (run := scene(changed(BARE, errors={"clock_drift": rate}))).observations[0]
+    t = seen.seconds / 3600
+    late = 200.0 * t + 4000.0 * t**2 / 2 - 500.0 * np.maximum(t - 300 / 3600, 0)
+    np.testing.assert_allclose(seen.plots.time_s - run.truth.epoch_s - seen.seconds, late * 1e-3, atol=5e-7)
+    assert np.abs(left_over(run)[0]).max() < 1e-6
+
+
+def test_a_stuck_clock_and_one_of_another_day() -> None:
+    run = scene(changed(BARE, time_sd_s=0.01, stuck_s=((200.0, 260.0),), errors={"time_offset": -86400.0}))
+    seen = run.observations[0]
+    since = seen.plots.time_s - run.truth.epoch_s + 86400.0
+    stuck = (seen.seconds >= 200) & (seen.seconds < 260)
+    assert np.count_nonzero(stuck) > 50
+    np.testing.assert_allclose(since[stuck], 200.0, atol=1e-6)
+    assert (since - seen.seconds)[~stuck].std() == pytest.approx(0.01, rel=0.1)
+    assert (np.diff(seen.seconds) >= 0).all()
+    np.testing.assert_allclose(left_over(run)[0][:, 1], 0.0, atol=1e-9)
+
+
+def busy(**fields: object) -> tuple[np.ndarray, Observation]:
+    """What is left of many plots, in sds of 10 m, 0.1 degrees and 0.2 degrees, and the observation."""
+    radar = changed(BARE, scan_s=2.0, range_sd_m=10.0, azimuth_sd_deg=0.1, elevation_sd_deg=0.2, **fields)
+    run = scene(radar, aircraft=60, duration_s=1500.0)
+    left, seen = left_over(run)
+    np.testing.assert_allclose(left, seen.noise, atol=1e-6)
+    return left / [10.0, 0.1 * DEG, 0.2 * DEG], seen
+
+
+def test_noise_of_student_t_has_its_sd_and_tails() -> None:
+    left, _ = busy(noise={"range": Noise(t_degrees=5.0)})
+    n = len(left)
+    assert n > 15_000
+    assert left[:, 0].std() == pytest.approx(1.0, abs=0.03)
+    # The law itself: Kolmogorov's distance to t with 5 degrees and unit variance, and to the normal law.
+    assert stats.kstest(left[:, 0] / np.sqrt(3 / 5), stats.t(5).cdf).pvalue > 1e-3
+    assert stats.kstest(left[:, 0], stats.norm.cdf).pvalue < 1e-6
+    # Of 5 degrees the excess is 6, of which a sample shows a part; the others stay normal.
+    assert stats.kurtosis(left[:, 0]) > 2
+    assert np.abs(stats.kurtosis(left[:, 1:])).max() < 6 * np.sqrt(24 / n)
+
+
+def test_noise_of_a_track_is_correlated_as_told() -> None:
+    left, seen = busy(noise={"all": Noise(correlated=0.7, correlation_s=20.0), "elevation": Noise()})
+    assert left.std(axis=0) == pytest.approx(1.0, abs=0.05)
+    order = np.lexsort((seen.seconds, seen.target))
+    left, target, t = left[order], seen.target[order], seen.seconds[order]
+    for lag in (1, 5, 15):
+        apart = t[lag:] - t[:-lag]
+        both = (target[lag:] == target[:-lag]) & (apart < 2.1 * lag)
+        mine = (left[lag:] * left[:-lag])[both].mean(axis=0)
+        expected = 0.7 * np.exp(-apart[both] / 20.0).mean()
+        assert mine[:2] == pytest.approx(expected, abs=0.06)
+        assert mine[2] == pytest.approx(0.0, abs=0.04)
+
+
+def test_outliers_are_a_share_and_come_on_top() -> None:
+    left, _ = busy(noise={"azimuth": Noise(outliers=0.1, outlier_factor=8.0)})
+    n = len(left)
+    assert left[:, 1].var() == pytest.approx(1 + 0.1 * 63, rel=0.1)
+    # Beyond 4 sds of the others there are, of the outliers, all beyond half their own sd.
+    share = 0.1 * 2 * stats.norm.sf(0.5)
+    assert np.mean(np.abs(left[:, 1]) > 4) == pytest.approx(share, abs=4 * np.sqrt(share / n))
+    assert left[:, 0].std() == pytest.approx(1.0, abs=0.03)
+    jitter = scene(changed(BARE, time_sd_s=0.02, noise={"time": Noise(t_degrees=4.0)}), aircraft=30, duration_s=1500.0)
+    seen = jitter.observations[0]
+    late = (seen.plots.time_s - jitter.truth.epoch_s - seen.seconds) / 0.02
+    assert stats.kstest(late * np.sqrt(2), stats.t(4).cdf).pvalue > 1e-3
+
+
+def test_detection_falls_with_range_as_the_radar_equation_says() -> None:
+    law = RadarEquation(pd=0.8, range_m=90e3, pfa=1e-6, swerling=1)
+    fields = {"scan_s": 2.0, "max_range_m": 200e3}
+    every = scene(changed(BARE, **fields), aircraft=60, duration_s=1500.0).observations[0]
+    some = scene(changed(BARE, **fields, detection=law), aircraft=60, duration_s=1500.0).observations[0]
+    edges = np.arange(20e3, 200e3, 15e3)
+    total, seen = (np.histogram(o.plots.range_m, edges)[0] for o in (every, some))
+    chance = np.histogram(every.plots.range_m, edges, weights=law.probability(every.plots.range_m))[0]
+    assert (total > 200).all()
+    sd = np.sqrt(np.maximum(chance * (1 - chance / total), 1.0))
+    assert (np.abs(seen - chance) < 4 * sd).all()
+    assert seen[0] / total[0] > 0.99
+    assert seen[-1] / total[-1] < 0.25
+
+
+def test_clutter_has_places_of_its_own() -> None:
+    area = Clutter(range_m=(8e3, 20e3), azimuth_deg=(340.0, 30.0), plots=12.0, places=40, scatter_m=20.0)
+    radar = changed(BARE, kind="psr", min_range_m=1000.0, errors={"range_bias": 500.0}, clutter=(area,))
+    seen = (run := scene(radar)).observations[0]
+    clutter = seen.target < 0
+    scans = 900.0 / 4.0
+    # Each scan a binomial number out of 40.
+    assert np.count_nonzero(clutter) == pytest.approx(12.0 * scans, abs=5 * np.sqrt(scans * 12 * (1 - 12 / 40)))
+    p = seen.plots[clutter]
+    assert p.range_m.min() > 8e3 + 500 - 120
+    assert p.range_m.max() < 20e3 + 500 + 120
+    assert (((np.degrees(p.azimuth_rad) + 21.5) % 360) < 53).all(), "across north"
+    assert (p.track == -1).all()
+    assert np.isfinite(p.elevation_rad).all()
+    antenna = 2 * np.pi * (p.time_s - run.truth.epoch_s - 1.25) / 4.0
+    assert np.abs(wrap_rad(antenna - p.azimuth_rad)).max() < 1e-5
+    # The same 40 places in the first and in the second half: none of the second is far from all of the first.
+    east, north = (p.range_m - 500) * np.sin(p.azimuth_rad), (p.range_m - 500) * np.cos(p.azimuth_rad)
+    first = p.time_s - run.truth.epoch_s < 450
+    apart = np.hypot(east[~first, None] - east[first], north[~first, None] - north[first]).min(axis=1)
+    assert np.quantile(apart, 0.99) < 60.0
+    assert (np.diff(seen.plots.time_s) >= 0).all()
+
+
+def test_nothing_comes_in_gaps_and_blind_sectors() -> None:
+    gaps = Gaps(outage_s=((100.0, 160.0),), every_s=120.0, length_s=15.0, blind_deg=((350.0, 20.0), (90.0, 95.0)))
+    area = Clutter(range_m=(2e3, 90e3), plots=20.0, places=200)
+    radar = changed(BARE, kind="psr", scan_s=2.0, false_plots=20.0, clutter=(area,))
+    full = scene(radar, aircraft=40, duration_s=3000.0).observations[0]
+    seen = scene(changed(radar, gaps=gaps), aircraft=40, duration_s=3000.0).observations[0]
+    begin, end = seen.outage_s.T
+    assert len(full.outage_s) == 0
+    assert len(begin) - 1 == pytest.approx(25, abs=4 * 5)
+    assert (100.0, 160.0) in set(map(tuple, seen.outage_s))
+    for times in (seen.seconds, seen.marks.time_s - scene(radar).truth.epoch_s):
+        silent = ((times[:, None] >= begin) & (times[:, None] < end)).any(axis=1)
+        assert not silent.any()
+    azimuth = np.degrees(seen.plots.azimuth_rad)
+    for first, width in ((350.0, 30.0), (90.0, 5.0)):
+        # Clutter stands still while it is measured; its scatter is a part of where it is.
+        assert not ((azimuth - first - 1e-6) % 360 < width - 2e-6).any()
+    # What is left is what there was, without these.
+    silent = ((full.seconds[:, None] >= begin) & (full.seconds[:, None] < end)).any(axis=1)
+    where = np.degrees(full.plots.azimuth_rad)
+    blind = ((where - 350.0) % 360 <= 30.0) | ((where - 90.0) % 360 <= 5.0)
+    np.testing.assert_array_equal(seen.plots.range_m, full.plots.range_m[~silent & ~blind])
+
+
+ALL_AT_ONCE: dict[str, object] = {
+    "range_sd_m": 20.0, "azimuth_sd_deg": 0.05, "elevation_sd_deg": 0.1, "detection": RadarEquation(), "time_sd_s": 0.01,
+    "noise": {"all": Noise(correlated=0.5, t_degrees=6.0, outliers=0.02)}, "clutter": (Clutter(range_m=(5e3, 20e3)),),
+    "gaps": Gaps(every_s=200.0, blind_deg=((10.0, 20.0),)), "false_plots": 5.0,
+    "errors": {"azimuth_bias": RESTLESS, "time_offset": Drift(walk_per_sqrt_h=0.2)},
+}  # fmt: skip
+
+
+def test_what_one_radar_and_one_term_draw_is_theirs_alone() -> None:
+    radar = changed(BARE, **ALL_AT_ONCE)
+    alone, again, beside = scene(radar), scene(radar), scene(radar, changed(radar, name="second", sic=2))
+    assert table(alone.observations[0]) == table(again.observations[0]) == table(beside.observations[0])
+    assert table(scene(radar, seed=2).observations[0]) != table(alone.observations[0])
+    t = np.linspace(0.0, 900.0, 100)
+    mine, second = (o.errors["azimuth_bias"](t) for o in beside.observations)
+    assert np.abs(mine - second).max() > 1e-3, "the second radar walks its own way"
+    more = changed(
+        BARE, errors={"range_bias": Drift(walk_per_sqrt_h=5.0), "azimuth_bias": RESTLESS}, noise={"all": Noise(outliers=0.5)}
+    )
+    np.testing.assert_array_equal(scene(more).observations[0].errors["azimuth_bias"](t), mine)
+
+
+def pairs_of(run: Simulated) -> Pairs:
+    """The first radar's plots with the truth itself as the reference, taken when the stamps say."""
+    seen = run.observations[0]
+    since = seen.plots.time_s - run.truth.epoch_s
+    inside = (seen.target >= 0) & (since > run.truth.first_s[seen.target]) & (since < run.truth.last_s[seen.target])
+    plots, target, since = seen.plots[inside], seen.target[inside], since[inside]
+    motion = run.truth.motion(target, since)
+    n = len(plots)
+    return Pairs(
+        plot=np.arange(n), plots=plots, target=target, track=target, position=motion.position, velocity=motion.velocity,
+        acceleration=motion.acceleration, covariance=np.zeros((n, 3, 3)), length_m=run.truth.length_m[target],
+        heading_rad=run.truth.course_rad(motion.position, motion.velocity), source=np.full(n, 5339),
+    )  # fmt: skip
+
+
+def test_registration_finds_the_mean_of_a_slow_ramp() -> None:
+    errors = {"range_bias": Drift(value=60.0, ramp_per_h=-40.0), "azimuth_bias": Drift(value=0.1, ramp_per_h=0.1)}
+    radar = changed(BARE, range_sd_m=30.0, azimuth_sd_deg=0.06, elevation_sd_deg=None, errors=errors)
+    run = scene(radar, aircraft=40, duration_s=1800.0)
+    found = register(pairs_of(run), Sensors((radar.sensor,)), model="range_bias,azimuth_bias")
+    seen = run.observations[0]
+    for k, key in enumerate(found.terms):
+        true = seen.errors[key.name](seen.seconds).mean() * TERMS[key.name].si_per_unit
+        assert abs(found.value[0, k] - true) < 4 * found.sd[0, k], key.name
+        spread = seen.errors[key.name](seen.seconds).std() * TERMS[key.name].si_per_unit
+        assert found.sd[0, k] < spread, "good enough to tell the mean from the ends"
+
+
+def test_online_registration_follows_a_sine() -> None:
+    bias = Drift(value=0.3, sine=(Sine(amplitude=0.25, period_s=900.0),))
+    radar = changed(
+        BARE, range_sd_m=30.0, azimuth_sd_deg=0.06, elevation_sd_deg=None,
+        errors={"azimuth_bias": bias, "range_bias": 80.0},
+    )  # fmt: skip
+    run = scene(radar, aircraft=40, duration_s=2700.0)
+    samples = online_samples(pairs_of(run), Sensors((radar.sensor,)))
+    found = register_online(samples[radar.sensor.key], radar.sensor)
+    k = next(i for i, key in enumerate(found.terms) if key.name == "azimuth_bias")
+    since = found.epoch_s - run.truth.epoch_s
+    steady = since > 200.0
+    true = run.observations[0].errors["azimuth_bias"](since)
+    off = np.degrees(found.value[:, k]) - true
+    assert np.count_nonzero(steady) > 50
+    assert np.sqrt(np.mean(off[steady] ** 2)) < 0.02, "of an amplitude of 0.25"
+    best = np.degrees(found.value[steady, k])
+    assert np.corrcoef(best, true[steady])[0, 1] > 0.99
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"errors": {"azimuth_bias": Drift(sine=(Sine(amplitude=1.0, period_s=-3.0),))}}, "errors.azimuth_bias: .*period_s"),
+        ({"errors": {"azimuth_bias": float("nan")}}, "errors.azimuth_bias: .*no finite number"),
+        ({"detection": 1.5}, "detection: detection = 1.5 is not within"),
+        ({"detection": RadarEquation(pd=1.0)}, "detection: radar equation: pd = 1.0 at .* pd lies between"),
+        ({"noise": {"doppler": Noise()}}, "noise.doppler: there is no noise 'doppler'. Known: range"),
+        ({"noise": {"elevation": Noise()}, "elevation_sd_deg": None}, "noise.elevation: needs a radar that measures"),
+        ({"noise": {"all": Noise(t_degrees=2.0)}}, "noise.all: t_degrees = 2 has no sd. Give more than 2"),
+        ({"noise": {"all": Noise(correlated=1.2)}}, "noise.all: needs correlated within 0"),
+        ({"noise": {"all": Noise(outliers=-0.1)}}, "noise.all: needs outliers within 0"),
+        ({"clutter": (Clutter(range_m=(5e3, 900e3)),)}, "clutter.0: range_m must rise"),
+        ({"clutter": (Clutter(range_m=(5e3, 9e3), plots=60.0),)}, "clutter.0: plots = 60 a scan cannot come from 50 places"),
+        ({"clutter": (Clutter(range_m=(5e3, 9e3), scatter_m=-1.0),)}, "clutter.0: needs .* scatter_m not below 0"),
+        ({"gaps": Gaps(outage_s=((30.0, 20.0),))}, "gaps: outage_s needs pairs"),
+        ({"gaps": Gaps(every_s=-1.0)}, "gaps: needs every_s"),
+        ({"gaps": Gaps(blind_deg=((float("nan"), 20.0),))}, "gaps: blind_deg needs"),
+        ({"stuck_s": ((30.0, 30.0),)}, "stuck_s: stuck_s needs pairs"),
+    ],
+)
+def test_what_cannot_be_is_said(fields: dict[str, object], text: str) -> None:
+    check_radar(changed(BARE, **ALL_AT_ONCE), "here")
+    with pytest.raises(SettingsError, match=f"^here: {text}"):
+        check_radar(changed(BARE, **fields), "here")
+
+
+def test_no_target_and_no_plot_are_no_trouble() -> None:
+    radar = changed(BARE, **{**ALL_AT_ONCE, "clutter": (), "false_plots": 0.0, "gaps": Gaps(blind_deg=((0.0, 360.0),))})
+    assert len(scene(radar).plots) == 0
+    # A marine radar where no ship sails sees its clutter.
+    seen = observe_radar(scene(radar).truth, changed(BARE, **ALL_AT_ONCE, kind="marine"), np.random.default_rng(1))
+    assert len(seen.plots) > 100
+    assert (seen.target == -1).all()

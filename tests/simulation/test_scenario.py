@@ -66,7 +66,7 @@ def test_a_scenario_from_toml(tmp_path: Path) -> None:
     scenario = load_scenario(path)
     assert scenario.start == datetime.datetime(2026, 5, 4, 23, 50, tzinfo=datetime.UTC)
     assert [r.name for r in scenario.radar] == ["one", "two"]
-    assert scenario.radar[0].time_offset_s == -0.25
+    assert scenario.radar[0].errors["time_offset"] == -0.25
     run = simulate(scenario, 3)
     assert np.count_nonzero(run.truth.aircraft.accuracy == 9) == 6
     assert run.errors["two"] == {"elevation_bias": 0.3, "tilt_north": -0.1}
