@@ -20,6 +20,8 @@ from .rigid import Clouds
 _FEW_TRACKS = 12
 _LEAST = 4
 _NORMAL_SD_PER_MAD = 1.4826
+# No plot is known better than this (m, rad, rad), however alike the differences are.
+_FLOOR = np.array([1e-3, 1e-8, 1e-8])
 # Positions are counted from the radar in units of so many metres, so that the entries of a transform are of one size.
 SCALE_M = 50e3
 
@@ -69,7 +71,7 @@ class MaximumLikelihood(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             raise NothingToDo(f"{int(used.sum())} pairs are too few for a bias and its noise", remedy="Give at least four pairs.")
         # A start that gross errors do not move.
         bias = np.median(d[used], axis=0)
-        scale = np.maximum(_NORMAL_SD_PER_MAD * np.median(np.abs(d[used] - bias), axis=0), 1e-12)
+        scale = np.maximum(_NORMAL_SD_PER_MAD * np.median(np.abs(d[used] - bias), axis=0), _FLOOR[axes])
         noise, inside, ended, steps = np.diag(scale**2), np.asarray(used), "iteration limit", 0
         while steps < self.max_iterations:
             steps += 1
@@ -80,7 +82,7 @@ class MaximumLikelihood(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             new = np.linalg.solve(information, np.einsum("nij,nj->i", weight, d[inside]))
             off = np.einsum("nij,nj->ni", weight, d[inside] - new) @ noise
             expected = off.T @ off / len(off) + noise - noise @ weight.mean(axis=0) @ noise
-            expected = (expected + expected.T) / 2
+            expected = (expected + expected.T) / 2 + np.diag(_FLOOR[axes] ** 2)
             moved = np.abs(new - bias) / scale
             grown = np.abs(np.diag(expected) / np.diag(noise) - 1)
             bias, noise = new, expected

@@ -56,8 +56,6 @@ METHODS: dict[str, Method] = {
 }
 """Every method by the name that an option gives, with its defaults; the first is the default."""
 
-# What every radar may have, and of which each method says why it tells nothing where it tells nothing.
-_CORE = ("range_bias", "azimuth_bias", "elevation_bias", "time_offset")
 # Terms of a rigid and of an affine transform, the ones to give up first last; of a radar without elevation, the level ones only.
 _LEVEL = ("site_east", "site_north", "rotation_up")
 _RIGID = (*_LEVEL, "site_up", "rotation_east", "rotation_north")
@@ -246,12 +244,14 @@ def _one(job: _Job, pairs: Pairs, sensor: Sensor) -> Calibration:
     seen = observe(pairs, np.arange(len(pairs)), sensor, job.epoch_s)
     # The model that was found is what held-out targets judge, not the search for it.
     again = job if job.model != "auto" or not isinstance(job.method, LeastSquares) else job._replace(model=_asked(found))
-    held = held_out(lambda some: _fit(again, some, sensor), pairs, seen)
+    held, others = held_out(lambda some: _fit(again, some, sensor), pairs, seen)
     before, after = _distances(seen, None), _distances(seen, found)
     there = np.isfinite(held)
     summary = found.sensors[0]
     notes = list(summary.notes)
     over_time = len(found.epoch_s) > 1
+    if over_time:
+        found = _widened(found, others, seen)
     if there.any():
         out_before, out_after = _accuracy(before[there]), _accuracy(held[there])
         if over_time:
@@ -262,9 +262,7 @@ def _one(job: _Job, pairs: Pairs, sensor: Sensor) -> Calibration:
         out_before = out_after = _accuracy(held[:0])
         notes.append("there are too few targets to hold some out")
     told = {key.name for key in found.terms} | {n.term for n in found.not_determined}
-    missing = [
-        NotDetermined(sensor.key, term, why) for term, why in _untold(job.method, seen.has_elevation).items() if term not in told
-    ]
+    missing = [NotDetermined(sensor.key, term, why) for term, why in _untold(job.method, found, seen).items() if term not in told]
     size = np.bincount(seen.cluster).astype(np.float64)
     summary = msgspec.structs.replace(
         summary,
@@ -307,24 +305,55 @@ def _fit(job: _Job, pairs: Pairs, sensor: Sensor) -> Calibration:
     return _transformed(method, job, seen)
 
 
-def held_out(fit: Callable[[Pairs], Calibration], pairs: Pairs, seen: Observed) -> FloatArray:
+def held_out(fit: Callable[[Pairs], Calibration], pairs: Pairs, seen: Observed) -> tuple[FloatArray, list[Calibration]]:
     """Horizontal distances (n,), metres, from the reference of the plots in `seen`, corrected by what the other folds tell.
 
     The folds are those of least squares: five, of whole targets, alike in their numbers of plots.  `fit` is given the pairs of
-    the other folds.  NaN where there is one target only, and for folds without which nothing can be told.
+    the other folds; what it gave is the second result.  NaN where there is one target only, and for folds without which nothing
+    can be told.
     """
     out = np.full(len(seen), np.nan)
+    given: list[Calibration] = []
     fold = folds(np.bincount(seen.cluster))[seen.cluster]
     for k in np.unique(fold).tolist():
         train, test = np.sort(seen.row[fold != k]), np.flatnonzero(fold == k)
         if not len(train):
             continue
         try:
-            found = fit(pairs[train])
+            given.append(fit(pairs[train]))
         except NothingToDo:
             continue
-        out[test] = _distances(seen, found, test)
-    return out
+        out[test] = _distances(seen, given[-1], test)
+    return out, given
+
+
+def _widened(found: Calibration, others: Sequence[Calibration], seen: Observed) -> Calibration:
+    """Errors over time with a covariance that is as wide as it is when targets come and go.
+
+    A filter of samples takes them as independent; what each target keeps for itself shows in how the values change without a
+    fold of targets (a jackknife, by the median over the epochs).  Of few targets what such errors typically are is added.
+    """
+    from scipy.special import chdtri
+
+    covariance = found.covariance.copy()
+    targets = len(seen.cluster_key)
+    if targets < _FEW_TARGETS:
+        typical, far = _own(seen), float(np.median(seen.measured[:, 0]))
+        own = {**dict(zip(BIASES, typical, strict=True)), "rotation_up": typical[1]}
+        own |= dict.fromkeys(("site_east", "site_north", "site_up"), np.hypot(typical[0], typical[1] * far))
+        for k, key in enumerate(found.terms):
+            covariance[:, k, k] += own.get(key.name, 0.0) ** 2 / targets
+    for k, key in enumerate(found.terms):
+        at = [(c, c.index(key.sensor, key.name, key.channel)) for c in others]
+        value = np.array([c.value[:, j] for c, j in at if j is not None and len(c.epoch_s) == len(found.epoch_s)])
+        if len(value) < 2:
+            continue
+        left_out = (len(value) - 1) / len(value) * ((value - value.mean(axis=0)) ** 2).sum(axis=0)
+        typical_square = float(chdtri(len(value) - 1, 0.5)) / (len(value) - 1)
+        wider = np.sqrt(max(float(np.median(left_out / covariance[:, k, k])) / typical_square, 1.0))
+        covariance[:, k] *= wider
+        covariance[:, :, k] *= wider
+    return replace(found, covariance=covariance)
 
 
 def _values(seen: Observed, found: Calibration, rows: IntArray) -> tuple[list[Term], Values]:
@@ -356,19 +385,21 @@ def _accuracy(distance: FloatArray) -> Accuracy:
     return Accuracy(*map(float, np.percentile(good, [50, 95]))) if len(good) else Accuracy(float("nan"), float("nan"))
 
 
-def _untold(method: Method, has_elevation: bool) -> dict[str, str]:
+def _untold(method: Method, found: Calibration, seen: Observed) -> dict[str, str]:
     """The commonest errors that a method has no term for, and why."""
-    if isinstance(method, LeastSquares | PerChannel):
-        # They say so themselves, of each of their terms.
-        return {} if has_elevation else {"elevation_bias": "the sensor measures no elevation"}
+    if isinstance(method, LeastSquares):
+        # It says so itself.
+        return {}
     name = name_of(method)
     out = {"time_offset": f"{name} knows no time: what there is of it is in the other values and in the noise"}
+    if isinstance(method, PerChannel):
+        out["time_offset"] = f"only models of the second order have it, and this one is {found.sensors[0].model}"
     if isinstance(method, RansacIcp | Genetic | KalmanTransform):
         kind = "an affine" if isinstance(method, KalmanTransform) else "a rigid"
         out["range_bias"] = f"{kind} transform of positions has none: what there is of it is in the other values and in the noise"
         out["azimuth_bias"] = "in a transform of positions it is minus rotation_up"
         out["elevation_bias"] = f"{kind} transform of positions has none: see rotation_east and rotation_north"
-    if not has_elevation:
+    if not seen.has_elevation:
         out["elevation_bias"] = "the sensor measures no elevation"
     return out
 
@@ -466,6 +497,18 @@ def _sums(rows: FloatArray, group: IntArray, groups: int) -> FloatArray:
     return out
 
 
+def _own(seen: Observed) -> FloatArray:
+    """The typical sd (3,) of what a target keeps for itself, in range, azimuth and elevation."""
+    typical, far = typical_own(seen), max(float(np.median(seen.measured[:, 0])), 1.0)
+    return np.array(
+        [
+            np.hypot(typical["range_bias"], typical["site_east"]),
+            np.hypot(typical["azimuth_bias"], typical["site_east"] / far),
+            np.hypot(typical.get("elevation_bias", 0.0), typical.get("site_up", 0.0) / far),
+        ]
+    )
+
+
 # ---------------------------------------------------------------------------------------------------- maximum likelihood
 def _likeliest(method: MaximumLikelihood, seen: Observed) -> Calibration:
     _, difference, _ = look(seen, slice(None), (), np.zeros(0))
@@ -479,16 +522,7 @@ def _likeliest(method: MaximumLikelihood, seen: Observed) -> Calibration:
     rows = np.flatnonzero(found.inliers)
     weight = np.linalg.inv(found.noise[np.ix_(axes, axes)] + known[rows][:, axes[:, None], axes])
     influence = np.linalg.solve(weight.sum(axis=0), weight)
-    typical = typical_own(seen)
-    far = float(np.median(seen.measured[:, 0]))
-    aside = typical["site_east"]
-    own = np.array(
-        [
-            np.hypot(typical["range_bias"], aside),
-            np.hypot(typical["azimuth_bias"], aside / far),
-            np.hypot(typical.get("elevation_bias", 0.0), typical.get("site_up", 0.0) / far),
-        ]
-    )
+    own = _own(seen)
     mine = take(seen, rows)
     covariance = _honest(
         influence, difference[rows][:, axes] - found.value[axes], np.diag(own[axes] ** 2), mine, _FLOOR_POLAR[axes]
@@ -569,10 +603,8 @@ def _level_axes(names: Sequence[str]) -> int:
 
 def _own_m2(seen: Observed, axes: int) -> FloatArray:
     """The typical covariance (m^2) of what a target keeps for itself, in the coordinates."""
-    typical = typical_own(seen)
-    far = float(np.median(seen.measured[:, 0]))
-    square = typical["range_bias"] ** 2 + typical["site_east"] ** 2 + (typical["azimuth_bias"] * far) ** 2
-    return np.asarray(square * np.eye(axes))
+    own = _own(seen)
+    return np.asarray((own[0] ** 2 + (own[1] * float(np.median(seen.measured[:, 0]))) ** 2) * np.eye(axes))
 
 
 def _thin(rows: IntArray) -> IntArray:
@@ -604,6 +636,7 @@ def _rigid(
         raise NothingToDo(f"sensor {seen.sensor.name!r}: the pairs tell no part of the transform")
     # What the others did goes to those that stay, as far as these pairs can show it.
     some = np.linalg.solve(gram[np.ix_(kept, kept)], gram[kept])
+    notes += _absorbed(some, prior, names, kept)
     influence = np.linalg.solve(gram[np.ix_(kept, kept)], np.swapaxes(columns[:, :, kept], 1, 2))
     covariance = _honest(influence, residual, _own_m2(mine, axes), mine, np.full(axes, _FLOOR_M))
     own = [names[k] for k in kept]
@@ -621,7 +654,8 @@ def _told(information: FloatArray, prior: FloatArray, names: Sequence[str]) -> t
     lost: dict[str, str] = {}
     while kept:
         scaled = information[:, kept][:, :, kept] * prior[kept][:, None] * prior[kept]
-        left = np.sqrt(np.diagonal(np.linalg.inv(scaled + np.eye(len(kept))), axis1=1, axis2=2))
+        size, basis = np.linalg.eigh(scaled)
+        left = np.sqrt(np.einsum("kij,kj->ki", basis**2, 1 / (np.maximum(size, 0.0) + 1)))
         share = np.median(left, axis=0)
         open_ = np.flatnonzero(share > _TOLD)
         if not len(open_):
@@ -634,6 +668,19 @@ def _told(information: FloatArray, prior: FloatArray, names: Sequence[str]) -> t
             "other terms do the same to them, or it does nothing"
         )
     return kept, lost
+
+
+def _absorbed(some: FloatArray, prior: FloatArray, names: Sequence[str], kept: Sequence[int]) -> list[str]:
+    """Which kept term holds what there is of each one that was given up; `some` (k, p) says how much of it goes where."""
+    out = []
+    for k in sorted(set(range(len(names))) - set(kept)):
+        share = np.abs(some[:, k]) * prior[k] / prior[list(kept)]
+        j = int(share.argmax())
+        if share[j] > 0.01:
+            one, other = TERMS[names[k]], TERMS[names[kept[j]]]
+            per = some[j, k] * one.si_per_unit / other.si_per_unit
+            out.append(f"{other.name} also holds what there is of {one.name}: {per:+.2g} {other.unit} for each {one.unit} of it")
+    return out
 
 
 def _affine(
@@ -675,11 +722,14 @@ def _affine(
     typical = displacement(names, clouds.reference[_thin(rows)])[:, :axes]
     gram = np.einsum("nci,ncj->ij", typical, typical)
     prior = _prior(method, names)
-    kept, lost = _told(np.linalg.inv(covariance / prior[:, None] / prior) / prior[:, None] / prior, prior, names)
+    size, basis = np.linalg.eigh(covariance / prior[:, None] / prior)
+    information = (basis / np.maximum(size, 1e-15 * size[:, -1:])[:, None]) @ np.swapaxes(basis, 1, 2)
+    kept, lost = _told(information / prior[:, None] / prior, prior, names)
     missing |= lost
     if not kept:
         raise NothingToDo(f"sensor {seen.sensor.name!r}: the pairs tell no part of the transform")
     some = np.linalg.solve(gram[np.ix_(kept, kept)], gram[kept])
+    notes += _absorbed(some, prior, names, kept)
     own = [names[k] for k in kept]
     model = "affine transform over time" if axes == 3 else "affine transform in the level plane, over time"
     return _calibration(
