@@ -98,7 +98,7 @@ def test_relative_bearings_turn_with_the_heading_across_north(tmp_path: Path) ->
     r = read(tmp_path, lines)
     np.testing.assert_allclose(np.degrees(r.plots.azimuth_rad), [90.0, 89.0], atol=1e-9)
     assert np.degrees(r.plots.heading_rad[0]) == pytest.approx(10.0)
-    assert r.plots.flags.tolist() == [0, 0]
+    assert r.plots.flags.tolist() == [Flag.FROM_BOW, Flag.FROM_BOW]
 
 
 def test_magnetic_headings_become_true_by_their_variation(tmp_path: Path) -> None:
@@ -109,12 +109,12 @@ def test_magnetic_headings_become_true_by_their_variation(tmp_path: Path) -> Non
     lines = [rmc("120000", tail=",3.5,E,A"), sentence("HCHDM,100.0,M"), ttm(1, "1.0", "0.0", "R", clock="120000"), rmc("120001")]
     r = read(tmp_path, lines)
     assert np.degrees(r.plots.azimuth_rad[0]) == pytest.approx(103.5)
-    assert r.plots.flags[0] == 0
+    assert r.plots.flags[0] == Flag.FROM_BOW
     # With none at all the azimuth is magnetic, and both the plot and a warning say so.
     lines = [rmc("120000"), sentence("HCHDM,100.0,M"), ttm(1, "1.0", "0.0", "R", clock="120000"), rmc("120001")]
     r = read(tmp_path, lines)
     assert np.degrees(r.plots.azimuth_rad[0]) == pytest.approx(100.0)
-    assert r.plots.flags[0] == Flag.MAGNETIC_NORTH
+    assert r.plots.flags[0] == (Flag.MAGNETIC_NORTH | Flag.FROM_BOW)
     assert any("magnetic" in w for w in r.warnings)
 
 
@@ -144,6 +144,67 @@ def test_own_ship_is_joined_by_time(tmp_path: Path) -> None:
     share = p.time_s[between] - NOON
     np.testing.assert_allclose(np.degrees(p.latitude_rad[between]), 60 + share / 60, atol=1e-9)
     assert set(p.sensor.tolist()) == {65536}
+
+
+def test_roll_and_pitch_come_from_transducers_and_from_inertial_systems(tmp_path: Path) -> None:
+    """XDR has the time of what is around it, PASHR its own; between reports nothing is made up."""
+    lines = []
+    for k in range(6):
+        lines += [
+            rmc(f"12000{k}"),
+            sentence(f"YXXDR,C,19.5,C,AIR,A,{-2.5 + k},D,ROLL,A,{0.5 * k},D,Ptch,P,1.01,B,BARO"),
+            rmc(f"12000{k}"),
+        ]
+    p = read(tmp_path, lines).platform
+    np.testing.assert_allclose(p.time_s, NOON + np.arange(6))
+    np.testing.assert_allclose(np.degrees(p.roll_rad), -2.5 + np.arange(6.0), atol=1e-12)
+    np.testing.assert_allclose(np.degrees(p.pitch_rad), 0.5 * np.arange(6.0), atol=1e-12)
+    lines += [
+        sentence(f"PASHR,12000{k}.500,{100 + k}.25,T,{1.25 + k:+.2f},{-0.75:+.2f},+0.10,0.02,0.02,0.05,2,1") for k in range(6)
+    ]
+    p = read(tmp_path, lines).platform
+    own = np.isclose(p.time_s % 1.0, 0.5)
+    assert own.sum() == 6
+    np.testing.assert_allclose(np.degrees(p.roll_rad[own]), 1.25 + np.arange(6.0), atol=1e-12)
+    np.testing.assert_allclose(np.degrees(p.pitch_rad[own]), -0.75, atol=1e-12)
+    np.testing.assert_allclose(np.degrees(p.heading_rad[own]), 100.25 + np.arange(6.0), atol=1e-9)
+    # The inertial system is the better source: where it speaks, the transducers are not asked.
+    assert np.isnan(p.roll_rad[~own]).all()
+
+
+def test_what_else_is_called_xdr_or_pashr_is_passed_over(tmp_path: Path) -> None:
+    lines = [
+        rmc("120000"),
+        sentence("YXXDR,A,12.5,D,RUDDER,A,3.0,P,ROLL,A,,D,PTCH"),
+        sentence("PASHR,POS,0,08,120000.00,6000.0,N,01030.0,E,10.0,,5.0,1.0,0.5,1,1,1,1,AB00"),
+        rmc("120001"),
+    ]
+    r = read(tmp_path, lines)
+    assert not r.damaged
+    assert np.isnan(r.platform.roll_rad).all()
+    assert np.isnan(r.platform.pitch_rad).all()
+
+
+@pytest.mark.parametrize(
+    ("broken", "why"),
+    [
+        (sentence("YXXDR,A,95.0,D,ROLL"), "roll"),
+        (sentence("YXXDR,A,1.0,D,ROLL,A,x,D,PTCH"), "pitch"),
+        (sentence("PASHR,120001.0,361.0,T,1.0,1.0,0.0,0.1,0.1,0.1,1,1"), "heading"),
+        (sentence("PASHR,126001.0,100.0,T,1.0,1.0,0.0,0.1,0.1,0.1,1,1"), "time"),
+        (sentence("PASHR,120001.0,100.0,T,1.0,-91.0,0.0,0.1,0.1,0.1,1,1"), "pitch"),
+        (sentence("YXXDR,A,1.0,D,ROLL")[:-1] + "?", "hexadecimal"),
+        ("$YXXDR,A,1.0,D,RO", "no checksum"),
+    ],
+)
+def test_damaged_attitudes_cost_themselves_only(tmp_path: Path, broken: str, why: str) -> None:
+    lines = [rmc("120000"), sentence("IIXDR,A,2.0,D,ROLL"), rmc("120000"), broken, rmc("120002")]
+    lines += [sentence("IIXDR,A,4.0,D,ROLL"), rmc("120002")]
+    r = read(tmp_path, lines)
+    assert len(r.damaged) == 1
+    assert why in r.damaged[0].why
+    roll = np.degrees(r.platform.roll_rad)
+    np.testing.assert_allclose(roll[np.isfinite(roll)], [2.0, 4.0], atol=1e-12)
 
 
 def test_a_log_without_a_radar_gives_own_ship_as_a_target(tmp_path: Path) -> None:
@@ -462,6 +523,8 @@ def log_of(rng: random.Random, lines: int) -> list[bytes]:
                     rmc(t, lat=f"60{rng.uniform(0, 59):06.3f},N"),
                     sentence(f"GPGGA,{t},60{rng.uniform(0, 59):06.3f},N,01030.000,E,1,10,0.8,20.0,M,40.0,M,,"),
                     sentence(f"HEHDT,{rng.uniform(0, 359):.1f},T"),
+                    sentence(f"IIXDR,A,{rng.uniform(-9, 9):.2f},D,ROLL,A,{rng.uniform(-9, 9):.2f},D,PTCH"),
+                    sentence(f"PASHR,{t},{rng.uniform(0, 359):.2f},T,{rng.uniform(-9, 9):+.2f},1.00,0.10,0.1,0.1,0.2,2,1"),
                     ttm(k % 100, f"{rng.uniform(0.1, 20):.2f}", f"{rng.uniform(0, 359):.1f}", rng.choice("RT"), clock=t),
                     sentence("AIVDM,1,1,,A,15MgK45P3@G?fl0E`JbR0OwT0@MS,0", "!"),
                     sentence("AIVDM,2,1,1,A,55?MbV02;H;s<HtKR20EHE:0@T4@Dn2222222216L961O5Gf0NSQEp6ClRp8,0", "!"),

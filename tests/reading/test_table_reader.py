@@ -345,6 +345,26 @@ def test_several_tables_of_one_file(tmp_path: Path) -> None:
     assert recording.platform.record.tolist() == [0, 1]
 
 
+def test_own_ship_with_roll_and_pitch_comes_from_a_table(tmp_path: Path) -> None:
+    toml = """
+    [platform]
+    time = { column = "ts", unit = "s" }
+    sensor = { value = 65536 }
+    latitude = { column = "la", unit = "deg" }
+    longitude = { column = "lo", unit = "deg" }
+    heading = { column = "hdg", unit = "deg" }
+    roll = { column = "roll", unit = "deg" }
+    pitch = { column = "pitch", unit = "rad", optional = true }
+    """
+    text = "ts,la,lo,hdg,roll,pitch\n1,50,1,359.5,-4.5,-0.02\n2,50,1,0.5,3.25,0.01\n3,50,1,1.5,,\n4,50,1,1.5,abc,0\n"
+    recording = mapped(tmp_path, toml, text)
+    own = recording.platform
+    np.testing.assert_allclose(np.degrees(own.roll_rad[:3]), [-4.5, 3.25, np.nan])
+    np.testing.assert_allclose(own.pitch_rad[:3], [-0.02, 0.01, np.nan])
+    np.testing.assert_allclose(np.degrees(own.heading_rad[:2]), [359.5, 0.5])
+    assert len(recording.damaged) == 1
+
+
 def test_content_is_recognised() -> None:
     assert looks_like_table(b"a,b,c\n1,2,3\n")
     assert looks_like_table(b"PAR1....")

@@ -189,7 +189,8 @@ def test_plots_come_back_within_a_quantum_over_midnight(tmp_path: Path) -> None:
     own = Platform(
         time_s=T0 + 86_390 + np.arange(40.0), sensor=np.full(40, 65536), latitude_rad=np.radians(np.linspace(-50, -50.01, 40)),
         longitude_rad=np.radians(np.linspace(-179.999, -179.98, 40)), height_m=np.full(40, 45.5), heading_rad=np.full(40, 1.0),
-        speed_mps=np.full(40, 5.0), course_rad=np.full(40, 1.1),
+        speed_mps=np.full(40, 5.0), course_rad=np.full(40, 1.1), roll_rad=0.1 * np.sin(np.arange(40.0)),
+        pitch_rad=np.where(np.arange(40) % 5, -0.02 * np.cos(np.arange(40.0)), np.nan),
     )  # fmt: skip
     written = write_nmea(tmp_path / "x.nmea", table, platform=own)
     assert written.left_out == {}
@@ -215,6 +216,8 @@ def test_plots_come_back_within_a_quantum_over_midnight(tmp_path: Path) -> None:
     np.testing.assert_allclose(ship.longitude_rad, own.longitude_rad, atol=1e-10)
     np.testing.assert_allclose(ship.height_m, own.height_m, atol=1e-3)
     np.testing.assert_allclose(ship.heading_rad, own.heading_rad, atol=1e-5)
+    np.testing.assert_allclose(ship.roll_rad, own.roll_rad, atol=1e-6)
+    np.testing.assert_allclose(ship.pitch_rad, own.pitch_rad, atol=1e-6)
     np.testing.assert_allclose(ship.speed_mps[1:], own.speed_mps[1:], atol=1e-3)
 
 

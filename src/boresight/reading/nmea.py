@@ -23,7 +23,7 @@ from .._types import AnyArray, BoolArray, ByteArray, FloatArray, IntArray
 from ..errors import InputError
 from ..model import Channel, Damage, Fixes, Flag, Platform, Plots, Recording, Source, Tracks
 from . import ais
-from .sentences import Numbers, Scan, address_of, clock, degrees, letters, name_of, numbers, scan
+from .sentences import Numbers, Scan, address_of, clock, degrees, letters, name_of, numbers, scan, words
 
 DAY_S = 86400.0
 # The id of a radar that tells no SAC and SIC, unless sensors.toml gives another.
@@ -52,6 +52,8 @@ _TABLES: dict[str, dict[str, type]] = {
     "motion": {"record": int, "speed": float, "course": float, "rank": int, "talker": int},
     "heading": {"record": int, "value": float, "magnetic": bool, "rank": int, "talker": int},
     "variation": {"record": int, "value": float},
+    "roll": {"record": int, "value": float, "rank": int, "talker": int},
+    "pitch": {"record": int, "value": float, "rank": int, "talker": int},
     "ttm": {
         "record": int,
         "range": float,
@@ -199,6 +201,9 @@ def _observe(s: Scan, record: int, offset: int) -> tuple[dict[str, list[Columns]
     damaged: list[Damage] = []
     standard = (s.address >= 1 << 32) & (s.address < 1 << 40) & (s.address >> 32 != ord("P"))
     formatter = np.where(standard, s.address & 0xFFFFFF, 0)
+    # Its maker sends other things by this name too; only the attitude has the T of a true heading there.
+    ours = np.flatnonzero(s.address == _ATTITUDE)
+    formatter[ours[letters(s, ours, 3) == ord("T")]] = _ATTITUDE
     for code in np.unique(formatter).tolist():
         take = _KINDS.get(name_of(code))
         if take is None:
@@ -355,6 +360,40 @@ def _hdg(k: _Kind) -> _Got:
     return _Got({"heading": _heading(value, 1, magnetic), "variation": ({"value": variation}, ~magnetic)})
 
 
+def _tilts(roll: FloatArray, pitch: FloatArray, rank: int) -> dict[str, tuple[Columns, BoolArray]]:
+    ranks = np.full(len(roll), rank)
+    return {
+        name: ({"value": value, "rank": ranks}, np.isfinite(value)) for name, value in (("roll", roll), ("pitch", pitch))
+    }  # fmt: skip
+
+
+def _pashr(k: _Kind) -> _Got:
+    """Attitude of an inertial system: time, true heading, roll (port side up), pitch (bow up), heave, their sds, two qualities.
+
+    Source: the sentence $PASHR as NovAtel, Trimble and Applanix describe it.
+    """
+    tod = k.time(1)
+    roll, pitch = (np.radians(k.number(at, what, -90.0, 90.0).value) for at, what in ((4, "roll"), (5, "pitch")))
+    return _Got({"heading": _heading(k.angle(2, "heading"), 0, False)} | _tilts(roll, pitch, 0), tod, gnss=True)
+
+
+def _xdr(k: _Kind) -> _Got:
+    """Transducers, four fields each: angles (A) in degrees (D) named ROLL and PTCH or PITCH; all others are passed over.
+
+    Source: NMEA 0183 XDR, with the names and signs of Airmar's and other motion sensors: to starboard, and bow up, positive.
+    """
+    found = {"roll": np.full(len(k.rows), np.nan), "pitch": np.full(len(k.rows), np.nan)}
+    for begin in range(1, int(k.s.fields[k.rows].max(initial=0)) - 2, 4):
+        degrees_ = (k.letter(begin) == ord("A")) & (k.letter(begin + 2) == ord("D"))
+        name = words(k.s, k.rows, begin + 3)
+        for what, called in (("roll", ("ROLL",)), ("pitch", ("PTCH", "PITCH"))):
+            mine = degrees_ & np.isin(name, [address_of(c) for c in called])
+            v = numbers(k.s, k.rows, begin + 1)
+            k.bad.append((mine & (v.bad | (np.abs(v.value) > 90.0)), what))
+            found[what] = np.where(mine & np.isnan(found[what]), np.radians(v.value), found[what])
+    return _Got(_tilts(found["roll"], found["pitch"], 1))
+
+
 def _hdm(k: _Kind) -> _Got:
     return _Got({"heading": _heading(k.angle(1, "heading"), 3, True)})
 
@@ -466,7 +505,10 @@ _KINDS: dict[str, Callable[[_Kind], _Got]] = {
     "ROT": _rot,
     "TTM": _ttm,
     "TLL": _tll,
+    "XDR": _xdr,
+    "PASHR": _pashr,
 }
+_ATTITUDE = address_of("PASHR")
 _RADAR = tuple(address_of(name) for name in ("TTM", "TLL", "OSD", "RSD"))
 _AIS = tuple(address_of(name) for name in ("VDM", "VDO"))
 
@@ -789,17 +831,31 @@ def _own_position(seen: _Seen, times: _Times, state: NmeaState, notes: list[str]
 
 
 def _platform(position: Columns, h: _Headings, seen: _Seen, times: _Times, state: NmeaState, sensor: int) -> Platform:
-    """Own ship at every time at which its position or heading is known, with the other one interpolated."""
+    """Own ship at every time at which its position, heading, roll or pitch is told.
+
+    Positions and headings are interpolated to the times of the others.  Roll and pitch are not: in a swing the way between two
+    reports is no straight line.
+    """
     m = seen.tables["motion"]
     motion_time = times.time_s[m["record"] - state.records]
     use = _preferred(motion_time, m["rank"], m["talker"])
     m, motion_time = {c: x[use] for c, x in m.items()}, motion_time[use]
     mine = h.record >= state.records
-    at = np.concatenate([position["time"], h.time_s[mine]])
-    record = np.concatenate([position["record"], h.record[mine]])
+    tilts = {}
+    for what in ("roll", "pitch"):
+        told = seen.tables[what]
+        time = times.time_s[told["record"] - state.records]
+        chosen = _preferred(time, told["rank"], told["talker"]) & np.isfinite(time)
+        tilts[what] = time[chosen], told["value"][chosen], told["record"][chosen]
+    at = np.concatenate([position["time"], h.time_s[mine], *(time for time, _, _ in tilts.values())])
+    record = np.concatenate([position["record"], h.record[mine], *(rows for _, _, rows in tilts.values())])
     good = np.isfinite(at)
     at, first = np.unique(at[good], return_index=True)
     record = record[good][first]
+    tilt = {}
+    for what, (time, value, _) in tilts.items():
+        tilt[what] = np.full(len(at), np.nan)
+        tilt[what][np.searchsorted(at, time)] = value
     lat = _interpolate(at, position["time"], position["lat"], _POSITION_GAP_S, False)
     lon = _interpolate(at, position["time"], position["lon"], _POSITION_GAP_S, True)
     return Platform(
@@ -809,6 +865,8 @@ def _platform(position: Columns, h: _Headings, seen: _Seen, times: _Times, state
         longitude_rad=(lon + np.pi) % (2 * np.pi) - np.pi,
         height_m=_interpolate(at, position["time"], position["height"], _POSITION_GAP_S, False),
         heading_rad=_interpolate(at, h.time_s, h.value, _HEADING_GAP_S, True),
+        roll_rad=tilt["roll"],
+        pitch_rad=tilt["pitch"],
         speed_mps=_interpolate(at, motion_time, m["speed"], _HEADING_GAP_S, False),
         course_rad=_interpolate(at, motion_time, m["course"], _HEADING_GAP_S, True),
         record=record,
@@ -902,7 +960,7 @@ def _static(seen: _Seen, state: NmeaState) -> Columns:
 
 
 def _plots(ttm: Columns, times: _Times, h: _Headings, state: NmeaState, radars: list[int], notes: list[str]) -> Plots:
-    """Targets as plots; relative bearings are turned by own ship's heading at their time."""
+    """Targets as plots; relative bearings are turned by own ship's heading at their time, and flagged as such."""
     row = ttm["record"] - state.records
     time = times.time_s[row]
     heading = _interpolate(time, h.time_s, h.value, _HEADING_GAP_S, True)
@@ -915,6 +973,7 @@ def _plots(ttm: Columns, times: _Times, h: _Headings, state: NmeaState, radars: 
             "left out (is a sentence HDT, THS or HDG in the log?)"
         )
     flags = ttm["flags"] | np.where(ttm["relative"] & h.magnetic, int(Flag.MAGNETIC_NORTH), 0)
+    flags |= np.where(ttm["relative"], int(Flag.FROM_BOW), 0)
     plots = Plots(
         time_s=time,
         sensor=_ids(ttm["talker"], radars, state.sensor),

@@ -336,6 +336,17 @@ def letters(s: Scan, rows: IntArray, field: int) -> ByteArray:
     return np.where((c >= 97) & (c <= 122), c - 32, c).astype(np.uint8)
 
 
+def words(s: Scan, rows: IntArray, field: int) -> IntArray:
+    """The text of field number `field` (from 1), in capitals, packed like an address; 0 where empty, -1 where beyond 7 bytes."""
+    begin, end = bounds(s, rows, field)
+    out = np.zeros(len(rows), np.int64)
+    for k in range(7):
+        here = begin + k < end
+        c = np.where(here, s.data[np.where(here, begin + k, 0)], 0).astype(np.int64)
+        out = np.where(here, out << 8 | np.where((c >= 97) & (c <= 122), c - 32, c), out)
+    return np.where(end - begin > 7, -1, out)
+
+
 def clock(s: Scan, rows: IntArray, field: int) -> tuple[FloatArray, BoolArray]:
     """Seconds of the day (n,) of a field hhmmss.ss, NaN where it is empty; and where it is no time of day (n,)."""
     v = numbers(s, rows, field)

@@ -1,4 +1,4 @@
-"""NMEA 0183: a marine radar's targets (TTM), targets with a position (TLL), own ship (GGA, OSD, RMC), the date (ZDA); AIS.
+"""NMEA 0183: a marine radar's targets (TTM), targets with a position (TLL), own ship (GGA, OSD, XDR, RMC), the date (ZDA).
 
 Quanta: distance 0.00001 NM (2 cm), bearing 0.0001 deg, position 0.0000001 min (0.2 mm), time 0.001 s, speed 0.001 kn.  All
 bearings are true.  What the sentences have no field for is counted, not written.
@@ -56,7 +56,8 @@ def write_nmea(
     """Write tables as one NMEA 0183 log in the order of time, as a whole or not at all.
 
     Plots become TTM (distance and true bearing about own ship, number, speed, course, time); with `sensors` a fixed
-    radar's own position goes ahead as GGA.  The platform becomes GGA, with OSD and RMC where it has a heading or speed.
+    radar's own position goes ahead as GGA.  The platform becomes GGA, with OSD and RMC where it has a heading or speed
+    and XDR where it has roll or pitch.
     Fixes and tracks become TLL; fixes of one target without identity, alone in the log (a GNSS receiver's), become GGA
     with height.  ZDA gives the date at the beginning and at each midnight.  Rows without a time or position are left
     out and counted, as are columns for which there is no field.
@@ -271,7 +272,6 @@ def _targets(table: Fixes | Tracks, left: dict[str, int]) -> tuple[FloatArray, I
 
 def _platform(platform: Platform, left: dict[str, int]) -> tuple[FloatArray, Iterator[str]]:
     mine: Platform = _placed(platform, "platform positions", left)  # type: ignore[assignment]
-    _count(left, mine, "roll_rad", "pitch_rad")
 
     def write() -> Iterator[str]:
         columns = (
@@ -282,13 +282,19 @@ def _platform(platform: Platform, left: dict[str, int]) -> tuple[FloatArray, Ite
             mine.heading_rad,
             mine.course_rad,
             mine.speed_mps,
+            mine.roll_rad,
+            mine.pitch_rad,
         )
-        for t, latitude, longitude, height, heading, course, speed in _rows(*columns):
+        for t, latitude, longitude, height, heading, course, speed, roll, pitch in _rows(*columns):
             text = _sentence(f"GPGGA,{_clock(t)},{_gga(t, latitude, longitude, height, math.nan)}")
+            tilts = [f"A,{math.degrees(v):.4f},D,{name}" for v, name in ((roll, "ROLL"), (pitch, "PTCH")) if math.isfinite(v)]
+            # OSD and XDR have no time of their own: between two sentences of one time they can only be of that.
             if math.isfinite(heading) or math.isfinite(speed):
-                # OSD has no time of its own: between two sentences of one time it can only be of that.
                 way = f"{_angle(course)},P,{_value(speed, KNOT_MPS)}"
                 text += _sentence(f"RAOSD,{_angle(heading)},A,{way},P,,,N")
+            if tilts:
+                text += _sentence(f"IIXDR,{','.join(tilts)}")
+            if tilts or math.isfinite(heading) or math.isfinite(speed):
                 date = datetime.date(1970, 1, 1) + datetime.timedelta(days=int(_rounded(t) // _DAY_S))
                 place = f"{_latitude(latitude)},{_longitude(longitude)}"
                 way = f"{_value(speed, KNOT_MPS)},{_angle(course)},{date:%d%m%y}"
