@@ -222,6 +222,23 @@ def test_ships_sail_on_the_sea_with_their_length_and_are_seen() -> None:
     assert set(observe_ais(truth, Ais(), np.random.default_rng(4)).target.tolist()) == {0, 1, 2}
 
 
+def test_what_lasts_but_a_moment_or_began_before_the_scene_is_smooth_too() -> None:
+    early = (Waypoint(lat_deg=41.0, lon_deg=2.0, time_s=-300.0), Waypoint(lat_deg=41.0, lon_deg=2.5, time_s=200.0))
+    truth = scripted(
+        Target(**START, speed_mps=200.0, course_deg=90.0, start_s=1199.9),
+        Target(**START, speed_mps=200.0, course_deg=90.0, end_s=0.5),
+        Target(**START, speed_mps=0.0, course_deg=90.0),
+        Target(kind="waypoints", height_m=1000.0, waypoint=early),
+    )
+    assert truth.first_s.tolist() == [1199.9, 0.0, 0.0, 0.0]
+    np.testing.assert_allclose(truth.last_s, [1200.0, 0.5, 1200.0, 200.0])
+    for k in range(4):
+        assert np.linalg.norm(motion_of(truth, inside(truth, k), k).jerk, axis=1).max() < 1e-3
+    begun = geodetic_from_ecef(motion_of(truth, np.zeros(1), 3).position)
+    assert np.degrees(begun[1][0]) == pytest.approx(2.3, abs=1e-4)
+    assert len(observe_radar(truth, RADAR, np.random.default_rng(1)).plots) > 0
+
+
 def test_copies_fly_in_formation_with_identities_that_count_upwards() -> None:
     truth = scripted(
         Target(
@@ -368,6 +385,7 @@ def test_replaying_names_what_there_is_and_what_is_missing(tmp_path: Path) -> No
         ({"length_m": 0.0}, "length_m"),
         ({"kind": "serpentine", "amplitude_m": 5000.0, "period_s": 10.0}, "pulls .* g"),
         ({"kind": "approaching", "course_deg": None}, "what it approaches"),
+        ({"kind": "approaching", "course_deg": None, "towards_lat_deg": 41.2, "towards_lon_deg": 2.4}, "it is where it is to go"),
         ({"kind": "replay"}, "needs recording"),
     ],
 )  # fmt: skip

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from boresight.geodesy import enu_from_ecef, geodetic_from_ecef, rotate
-from boresight.simulation import Airport, Atmosphere, Scenario, Traffic, Truth, simulate
+from boresight.simulation import Adsb, Airport, Atmosphere, Scenario, Traffic, Truth, simulate
+from boresight.simulation.truth import equip_aircraft, fly_traffic
 
 AIRPORT = Airport(lat_deg=41.297, lon_deg=2.083, height_m=50.0, runway_deg=246.0)
 ATMOSPHERE = Atmosphere(isa_deviation_k=8.0, shift_m=62.0)
@@ -103,3 +104,11 @@ def test_traffic_without_airports_flies_over() -> None:
     truth = simulate(scene, 1).truth
     level = truth.geodetic(truth.motion(np.arange(5), truth.first_s + 1, 0).position)[2]
     assert (level > 7000).all()
+
+
+def test_there_may_be_no_traffic_at_all() -> None:
+    traffic = Traffic(aircraft=0)
+    rng = np.random.default_rng(1)
+    truth = fly_traffic(traffic, (AIRPORT,), ATMOSPHERE, 0.0, 600.0, equip_aircraft(0, traffic, Adsb(), rng), rng)
+    assert (len(truth), truth.flights, len(truth.length_m)) == (0, 0, 0)
+    assert len(truth.motion(np.empty(0, np.int64), np.empty(0)).position) == 0

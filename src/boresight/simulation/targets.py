@@ -142,13 +142,13 @@ def check_target(target: Target, radars: Sequence[Radar], duration_s: float, *, 
 
     `adsb` tells whether the scene has ADS-B.  What only the recording of a replay can tell is not asked here.
     """
-    error = next(_faults(target, radars, duration_s, adsb), None)
+    error = next(target_faults(target, radars, duration_s, adsb), None)
     if error is not None:
         raise SettingsError(error[0], where=where, remedy=error[1])
 
 
-def _faults(target: Target, radars: Sequence[Radar], duration_s: float, adsb: bool) -> Iterator[tuple[str, str]]:
-    """What is wrong with a target, and the remedy."""
+def target_faults(target: Target, radars: Sequence[Radar], duration_s: float, adsb: bool) -> Iterator[tuple[str, str]]:
+    """What is wrong with a target, and the remedy (which may be empty), one after the other; arguments as in `check_target`."""
     if target.kind not in _KINDS:
         yield (
             f"kind = {target.kind!r} is no way that a target moves",
@@ -175,6 +175,8 @@ def _faults(target: Target, radars: Sequence[Radar], duration_s: float, adsb: bo
         yield f"speed_mps = {target.speed_mps:g} is not within 0 … {fastest:g}", ""
     yield from _faults_of_time(target, duration_s)
     yield from _faults_of_identity(target, ship, adsb)
+    if target.kind == "replay" and target.pressure_levels and target.height_m is None:
+        yield "pressure_levels says what height_m is, and there is none", "Leave it out: the recording's own are known."
     if target.kind in ("waypoints", "replay"):
         yield from _faults_of_waypoints(target, ship, fastest) if target.kind == "waypoints" else ()
         return
@@ -487,6 +489,8 @@ def _from_start(target: Target, copy: int, scene: _Scene) -> _Way:
             goal = math.radians(radar.lat_deg), math.radians(radar.lon_deg)
         else:
             goal = math.radians(target.towards_lat_deg or 0.0), math.radians(target.towards_lon_deg or 0.0)
+    if goal is not None and math.dist((lat, lon), goal) < 1e-6:
+        raise SettingsError("it is where it is to go to", remedy="Let it start some way off.")
     course = math.radians(target.course_deg or 0.0) if goal is None else _bearing(lat, lon, *goal)
     aside = course + math.pi / 2 if target.spacing_deg is None else math.radians(target.spacing_deg)
     lat, lon = _moved(lat, lon, float(level[0]), aside, copy * target.spacing_m)
@@ -496,7 +500,7 @@ def _from_start(target: Target, copy: int, scene: _Scene) -> _Way:
     end = scene.duration_s if target.end_s is None else min(target.end_s + copy * target.spacing_s, scene.duration_s)
     turn = math.radians(target.turn_dps or 0.0)
     fastest = max(abs(turn), 2 * math.pi / (target.period_s or math.inf))
-    step = min(STEP_S, 2 * math.pi / 80 / max(fastest, 1e-9), (end - start) / 8)
+    step = min(STEP_S, 2 * math.pi / 80 / max(fastest, 1e-9))
     half = 0.5 * step * np.arange(2 * (math.ceil((end - start) / step) + 8) + 1, dtype=np.float64)
     turned = np.zeros(len(half))
     if turn:
@@ -569,7 +573,7 @@ def _through_waypoints(target: Target, copy: int, scene: _Scene) -> _Way:
     last = min(last, scene.duration_s)
     if not (first < scene.duration_s and last > max(first, 0.0)):
         raise SettingsError("none of its way lies within the scene", remedy="Change the times of its waypoints.")
-    step = min(STEP_S, float(min(blend, default=STEP_S * 8)) / 8, (last - first) / 8)
+    step = min(STEP_S, float(min(blend, default=STEP_S * 8)) / 8)
     seconds = first + step * np.arange(math.ceil((last - first) / step) + 8, dtype=np.float64)
     position = spot[0] + (seconds - first)[:, None] * velocity[0]
     levels = level[0] + (seconds - first) * (level[1] - level[0]) / lasts[0]
@@ -581,7 +585,7 @@ def _through_waypoints(target: Target, copy: int, scene: _Scene) -> _Way:
     latitude, longitude, _ = geodetic_from_ecef(position)
     height = scene.heights(target, levels)
     heading = _course(seconds, latitude, longitude, height)
-    return _Way(seconds, latitude, longitude, height, heading, first, last)
+    return _Way(seconds, latitude, longitude, height, heading, max(first, 0.0), last)
 
 
 def _recorded(target: Target, scene: _Scene) -> tuple[_Way, _Who, Target]:
