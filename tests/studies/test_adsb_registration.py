@@ -14,6 +14,7 @@ from boresight.studies.adsb_registration import (
     PRINTED,
     SCENES,
     TIME_S,
+    Clustered,
     Errors,
     draw,
     errors_of,
@@ -31,13 +32,33 @@ def study() -> Study:
 
 def test_every_bound_of_the_quick_form_holds(study: Study, tmp_path_factory: pytest.TempPathFactory) -> None:
     assert not study.failed, "\n".join(f"{r.id}: {r.ours} is not within {bound_text(r.bound)}" for r in study.failed)
-    assert sum(r.bound is not None for r in study.rows) >= 60
+    assert sum(r.bound is not None for r in study.rows) >= 85
     cells = [r for r in study.rows if r.id.startswith("table-1") and r.printed is not None]
-    assert len(cells) == 3 * (len(PRINTED) + 1)
+    assert len(cells) == 3 * (len(PRINTED) + 1) + 1
+    assert {"figure-3", "figure-4", "figure-5"} < {f.name for f in study.figures}
     page = write_study(study, tmp_path_factory.mktemp("page") / "study.html").read_text()
-    assert page.count("<figure") == len(study.figures) == 2
+    assert page.count("<figure") == len(study.figures) == 5
     for scene in SCENES:
         assert sum(r.table == f"Mean absolute error, {scene}" for r in study.rows) == 3 * len(METHODS)
+
+
+def test_each_claim_has_a_bounded_row(study: Study) -> None:
+    bounded = {r.id for r in study.rows if r.bound is not None}
+    wanted = {"radial-range", "radial-time", "radial-named", "medoids-lone", "search-right", "search-wrong", "eq-7-ratio",
+              "time-found", "alias-columns", "sector-ratio", "pairing-nearest", "limit-flat-earth", "limit-pressure"}  # fmt: skip
+    wanted |= {f"{kind}-{scene.replace(' ', '-')}" for kind in ("genetic", "sd", "nees") for scene in SCENES}
+    assert wanted <= bounded
+    verdicts = [r for r in study.rows if r.id.startswith("verdict-")]
+    assert all(isinstance(r.printed, str) and isinstance(r.ours, str) for r in verdicts)
+    assert len(verdicts) >= 13
+
+
+def test_k_medoids_pairs_lone_tracks_only_where_votes_are_the_denominator() -> None:
+    (shares,) = Clustered("scene 1")(np.random.default_rng(5), 2)
+    assert shares.shape == (2, 2, 3)
+    assert shares[:, 0, 0].mean() > 0.1
+    assert (shares[:, 1, 0] <= shares[:, 0, 0]).all()
+    assert (shares[:, 0, 1] > 0.9).all()
 
 
 def test_traffic_stays_in_its_area_and_moves_like_airliners() -> None:

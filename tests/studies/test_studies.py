@@ -10,7 +10,7 @@ import pytest
 
 from boresight.errors import SettingsError
 from boresight.studies import Settings, Study, run_study, study_json, write_study
-from boresight.studies.page import bound_text, number, study_text
+from boresight.studies.page import bound_text, given, number, study_text
 from boresight.studies.table import Bound, row
 
 
@@ -48,6 +48,13 @@ def test_a_row_holds_what_its_bound_says() -> None:
     assert row("a", "t", "r", "q", 1.0, high=0.5).holds is False
     assert row("a", "t", "r", "q", float("nan"), high=0.5).holds is False
     assert row("a", "t", "r", "q", "improved", printed="improved").holds is None
-    assert bound_text(Bound(None, 0.5)) == "≤ 0.5000"
+    assert bound_text(Bound(None, 0.5)) == "≤ 0.5"
+    assert bound_text(Bound(3.0, 3.0)) == "= 3"
+    assert bound_text(Bound(-1.5, 2.0)) == "−1.5 … 2"
+    assert bound_text(Bound(44.1813 - 1e-9, 44.1813 + 1e-9)) == "44.1813 ± 1e−09"
+    assert number(3.0) == "3"
+    assert number(0.5) == "0.5000"
+    assert given(0.002059) == "0.002059"
+    assert given(-44.181) == "−44.181"
     assert number(-0.01234) == "−0.01234"
     assert number(np.nan) == "–"

@@ -7,15 +7,20 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .. import frames
 from .._types import FloatArray
+from ..alignment import targets_of
 from ..assessment.distribution import distribution
+from ..association import search
+from ..association.cluster import Traces, TrackMatch
 from ..calibration import Calibration
 from ..compute import Result
 from ..correction import correct
+from ..errors import SettingsError
 from ..filters import (
     AlphaBeta,
     ConstantVelocity,
@@ -32,7 +37,7 @@ from ..measure import enu_from_polar, polar_from_enu, site_of, wrap_rad
 from ..model import Pairs, Plots, Sensor, Sensors
 from ..registration import LeastSquares, register
 from ..registration.likelihood import KalmanTransform, MaximumLikelihood
-from ..registration.rigid import Clouds, Genetic, Rigid, joint_fit
+from ..registration.rigid import Clouds, Genetic, RansacIcp, Rigid, joint_fit
 from ..report.drawing import (
     AFTER,
     AFTER_LIGHT,
@@ -48,7 +53,12 @@ from ..report.drawing import (
     style,
     to_svg,
 )
+from ..simulation import Simulated, association_scene, simulate
+from ..terms import TERMS, Geometry
 from .table import Row, Settings, Study, row
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 DEG = np.pi / 180
 PAPER = "Zhang & Huang 2024, Error registration for primary radar based on ADS-B data (paper 001)"
@@ -66,6 +76,7 @@ LATE_S = 0.3
 SCENES = ("scene 1", "scene 2", "white", "time")
 METHODS = ("raw", "paper's method", "maximum likelihood [6]", "transform matrix [7]", "alpha-beta", "NLS online", "NLS offline")
 QUANTITIES = (("range", "m"), ("elevation", "°"), ("azimuth", "°"))
+_HEIGHT = 3
 # One model for all four scenes: what a scene does not have must come out as nothing.
 MODEL = (
     "range_bias", "azimuth_bias", "elevation_bias", "tilt_north", "tilt_east", "site_east", "site_north", "site_up",
@@ -97,40 +108,55 @@ PRINTED: dict[str, tuple[float, float, float]] = {
     "alpha-beta": (53.69, 0.18, 0.13),
 }
 PRINTED_S = {"transform matrix [7]": 2.23, "maximum likelihood [6]": 0.22, "alpha-beta": 0.04, "paper's method": 2.07}
+# Section 3.1: seconds for about 90 tracks of the simulated scenes.
+SIMULATED_S = {"transform matrix [7]": 2.08, "maximum likelihood [6]": 0.20, "alpha-beta": 0.035, "paper's method": 1.88}
+REFERENCE_HEIGHT_M = 800.0
 # Airliners fly straight, climb steadily, and turn by up to a degree and a half a second.
 FILTER = ExpectedMode(rates_deg_s=(-3.0, -1.5, 0.0, 1.5, 3.0), group=3, noise=0.03, noise_up=1e-3, stay=0.99)
 _SPEED_SD, _CLIMB_SD = 200.0, 10.0
 
 
+# Of 90 radar tracks so many have ADS-B, and every so many scans are clustered.
+_WITH_ADSB, _EVERY = 72, 3
+_RADIAL_M, _RADIAL_MPS, _RADIAL_HEIGHT_M = 26.5e3, 150.0, 9e3
+
+
 def run(settings: Settings) -> Study:
-    """Table 1 and the four scenes of the paper's section 3."""
+    """Table 1, figures 1 and 3 to 5, the scenes of the paper's section 3, its association, and what the data cannot tell."""
     rows: list[Row] = []
     runs, fits = (1, 4) if settings.quick else (6, 32)
     table: dict[str, FloatArray] = {}
-    seconds: FloatArray = np.zeros((0, len(METHODS)))
+    courses: dict[str, FloatArray] = {}
+    seconds: dict[str, FloatArray] = {}
+    ratios: dict[str, float] = {}
+    estimates: list[Row] = []
     for scene in SCENES:
-        error, ratio, cost = settings.runs(Trial(scene), runs, f"{scene}, all methods", chunk=1)
-        table[scene] = error.mean(axis=0)
-        seconds = np.concatenate([seconds, cost])
-        _errors(scene, table[scene], rows)
-        rows.append(
-            row(
-                f"genetic-{scene}".replace(" ", "-"),
-                "Genetic algorithm",
-                scene,
-                "rms over that of the joint rigid fit, largest",
-                float(ratio.max()),
-                high=1.02,
-                note="Kept as a method, never as the default: it finds what one least-squares fit does.",
-            )
-        )
+        course, ratio, cost = settings.runs(Trial(scene), runs, f"{scene}, all methods", chunk=1)
+        courses[scene] = course.mean(axis=0)
+        table[scene] = courses[scene].mean(axis=1)
+        # The least: the first run compiles kernels, and other programs may run at the same time.
+        seconds[scene] = cost.min(axis=0)
+        ratios[scene] = float(ratio.max())
         off, covariance, kept = settings.runs(Fits(scene), fits, f"{scene}, our estimates", chunk=2)
-        _estimates(scene, off, covariance, kept, settings.quick, rows)
+        _estimates(scene, off, covariance, kept, settings.quick, estimates)
+    every_s = np.min(list(seconds.values()), axis=0)
+    _table_1(table["white"], every_s, rows)
+    for scene in SCENES:
+        _errors(scene, table[scene], rows)
     _compare(table, rows)
-    _table_1(table["white"], seconds.mean(axis=0), rows)
+    rows += estimates
+    _verdicts(table, every_s, rows)
+    _times(np.minimum(seconds["scene 1"], seconds["scene 2"]), rows)
+    _genetic(ratios, rows)
     _bias_in_prediction(settings, rows)
     angles = _distributions(settings, rows)
-    _limits(rows)
+    _association(settings, rows)
+    _limits(settings, rows)
+    figures = (
+        _figure_1(angles),
+        *(_course_figure(*which, courses[which[1]]) for which in _COURSES),
+        _figure(table),
+    )
     return Study(
         name="adsb-registration",
         title="A primary radar registered on ADS-B traffic",
@@ -141,13 +167,20 @@ def run(settings: Settings) -> Study:
             "rigid transform cannot represent a polar bias, and knows no time.",
             "The genetic algorithm over the tracks' transforms finds what one joint rigid fit finds.",
             "The bias in every prediction (eq. 7) corrects nothing: the filter's velocity absorbs it.",
+            "K-medoids pairs the tracks that have ADS-B, and a third of those that have none; the search over biases pairs "
+            "the former only, at ten times the bias.",
         ),
         rows=tuple(rows),
-        figures=(_figure_1(angles), _figure(table)),
+        figures=figures,
         remarks=(
-            "Table 1 of the paper is of a real radar; the scene “white” has its raw errors, and so stands beside it.",
+            "Table 1 and figure 5 of the paper are of a real radar; the scene “white” has its raw errors, and so stands beside "
+            "them. Figures 3 to 5 print no numbers.",
             "The columns of Table 1 are range, elevation and azimuth; “Gaussian noise of mean 50 m” is noise of that sd; eq. 7's "
             "bias is applied to the measurement once.",
+            "Table 1's ranges do not reproduce: all four methods are printed worse than no correction at all. Noise of 64 m has "
+            "a mean size of 51 m, which any filter takes down; only one without a filter stays there, as [6] does here.",
+            "The paper's elevation of 0.04° does not reproduce with its own method: a rigid transform leaves 0.09° of a bias of "
+            "0.18°. What is left of noise of 0.24° after our own correction is 0.03° with the smoother, 0.07° online.",
             "The scene “time” is to have raw errors of 40 m in range: with 64 m of noise and 0.3 s they are 61 m, so its noise "
             "is 30 m here; angles as in “white”.",
             "Offsets of hundreds of metres are not linear in polar coordinates at short range: ours is fitted a second time "
@@ -155,7 +188,11 @@ def run(settings: Settings) -> Study:
             "Figure 1's mixture needs several parts only where there are outliers: one bias and normal noise are one normal.",
             "Height of the antenna and elevation bias correlate by 0.95 in some traffic: ours keeps both (max_correlation = "
             "0.99, where the default would name one of them as not determined).",
-            "The equations of [6] and [7] are not in the paper: ours are the plain readings of what it says of them.",
+            "The equations of [6] and [7] are not in the paper: ours are the plain readings of what it says of them. Ours of [7] "
+            "takes milliseconds where 2.23 s are printed: the times tell of the programs, not of the methods.",
+            "The paper does not say of what a track's percentage of matches is taken. Of its votes: a third of the tracks "
+            "without ADS-B are paired with whatever flies nearest. Of all its plots: they vote too seldom to be paired, but "
+            "neither are the tracks whose height is measured too badly for the screen.",
         ),
     )
 
@@ -365,11 +402,14 @@ def followed(position: FloatArray, covariance: FloatArray, *, offline: bool = Fa
 
 
 def mean_errors(position: FloatArray, traffic: Traffic, time_s: FloatArray) -> FloatArray:
-    """Mean absolute errors (3,) of positions (n, K, 3) at `time_s` (K,): range m, elevation °, azimuth °."""
+    """Mean absolute errors (K, 4) over the targets of positions (n, K, 3) at `time_s` (K,): range m, elevation °, azimuth °,
+    height m."""
     truth = traffic.enu(np.broadcast_to(time_s, position.shape[:2]))
     off = polar_from_enu(position) - polar_from_enu(truth)
     off[..., 1] = wrap_rad(off[..., 1])
-    return np.asarray(np.abs(off).mean(axis=(0, 1))[[0, 2, 1]] / np.array([1.0, DEG, DEG]))
+    up = position[..., 2:] - truth[..., 2:]
+    every = np.abs(np.concatenate([off[..., [0, 2, 1]] / np.array([1.0, DEG, DEG]), up], axis=-1))
+    return np.asarray(every.mean(axis=0))
 
 
 def clouds(plots: FloatArray, traffic: Traffic) -> tuple[Clouds, FloatArray]:
@@ -383,7 +423,8 @@ def clouds(plots: FloatArray, traffic: Traffic) -> tuple[Clouds, FloatArray]:
 
 @dataclass(frozen=True)
 class Trial:
-    """One scene: errors (runs, methods, 3), genetic rms over joint rms (runs,), CPU seconds per 100 tracks (runs, methods)."""
+    """One scene: errors by scan (runs, methods, K, 4), genetic rms over joint rms (runs,), CPU seconds per 100 tracks (runs,
+    methods)."""
 
     scene: str
 
@@ -465,13 +506,23 @@ class Fits:
 
 
 # -------------------------------------------------------------------------------------------------------------------- the rows
+# What an independent reproduction gave: raw, and the paper's method.
+_ELSEWHERE = {
+    "scene 1": ((200.0, 0.436, 0.216), (23.0, 0.023, 0.027)),
+    "scene 2": ((205.0, 0.428, 0.332), (33.0, 0.041, 0.040)),
+    "white": ((51.0, 0.242, 0.182), (43.0, 0.105, 0.040)),
+    "time": ((40.0, 0.240, 0.187), (50.0, 0.105, 0.070)),
+}
+
+
 def _errors(scene: str, error: FloatArray, rows: list[Row]) -> None:
     for m, name in enumerate(METHODS):
         for k, (quantity, unit) in enumerate(QUANTITIES):
             limit = LIMITS.get(name, {}).get(scene)
+            note = f"an independent reproduction: {' / '.join(f'{v:g}' for v in _ELSEWHERE[scene][m])}" if m < 2 else ""
             rows.append(
                 row(f"{scene}-{name}-{quantity}".replace(" ", "-"), f"Mean absolute error, {scene}", name, quantity,
-                    float(error[m, k]), high=None if limit is None else limit[k], unit=unit)
+                    float(error[m, k]), high=None if limit is None else limit[k], unit=unit, note=note if k == 0 else "")
             )  # fmt: skip
 
 
@@ -499,7 +550,15 @@ def _estimates(scene: str, off: FloatArray, covariance: FloatArray, kept: FloatA
     table = "Our estimates"
     note = f"Widened by {room:.2f}, twice the sampling error of {len(off)} runs." if quick else ""
     rows += [
-        row(f"sd-{name}", table, scene, "largest error over its sd, one run", float(np.nanmax(np.abs(off[0]) / sd[0])), high=4.0),
+        row(
+            f"sd-{name}",
+            table,
+            scene,
+            "largest error over its sd",
+            float(np.nanmax(np.abs(off) / sd)),
+            high=4.0,
+            note=f"of all terms in {len(off)} runs",
+        ),
         row(
             f"nees-{name}",
             table,
@@ -514,36 +573,105 @@ def _estimates(scene: str, off: FloatArray, covariance: FloatArray, kept: FloatA
     ]
     if scene == "time":
         late = off[:, MODEL.index("time_offset")]
-        rows.append(
-            row("time-found", table, scene, "error of the 0.3 s, rms", float(np.sqrt(np.mean(late**2))), high=0.006, unit="s")
-        )
+        rows += [
+            row("time-found", table, scene, "error of the 0.3 s, rms", float(np.sqrt(np.mean(late**2))), high=0.006, unit="s"),
+            row("time-bias", table, scene, "error of the 0.3 s, mean", abs(float(late.mean())), high=0.006, unit="s"),
+        ]
 
 
 def _table_1(error: FloatArray, seconds: FloatArray, rows: list[Row]) -> None:
-    for k, ((quantity, unit), value) in enumerate(zip(QUANTITIES, (60.0, 0.30, 0.30), strict=True)):
-        rows.append(
-            row(f"table-1-reference-{quantity}", "Table 1", "reference accuracy", quantity, None, printed=value, unit=unit)
-        )
-        for name, printed in PRINTED.items():
-            ours = float(error[METHODS.index(name), k])
-            rows.append(
-                row(
-                    f"table-1-{name}-{quantity}".replace(" ", "-"), "Table 1", name, quantity, ours, printed=printed[k], unit=unit
-                )
-            )
+    table = "Table 1"
+    columns = ((*QUANTITIES[0], 60.0), (*QUANTITIES[1], 0.30), (*QUANTITIES[2], 0.30), ("height", "m", REFERENCE_HEIGHT_M))
+    for quantity, unit, value in columns:
+        rows.append(row(f"table-1-reference-{quantity}", table, "reference accuracy", quantity, None, printed=value, unit=unit))
+    for m, name in enumerate(METHODS):
+        for k, (quantity, unit, _) in enumerate(columns):
+            printed = PRINTED[name][k] if name in PRINTED and k < _HEIGHT else None
+            key = f"table-1-{name}-{quantity}".replace(" ", "-")
+            rows.append(row(key, table, name, quantity, float(error[m, k]), printed=printed, unit=unit))
+    for k, (quantity, _, value) in enumerate(columns):
+        ratio = float(error[METHODS.index("NLS online"), k]) / value
+        key = f"table-1-within-{quantity}"
+        rows.append(row(key, table, "NLS online over the reference accuracy", quantity, ratio, high=1.0))
     for m, name in enumerate(METHODS[1:], start=1):
         rows.append(
             row(
                 f"time-{name}".replace(" ", "-"),
-                "Table 1",
+                "Table 1: processing of 100 tracks",
                 name,
-                "processor time per 100 tracks",
+                "processor time",
                 float(seconds[m]),
                 printed=PRINTED_S.get(name),
                 unit="s",
-                note="Learning and testing; it is of the machine, and changes from run to run.",
+                note="learning and testing, the least of all runs; it is of the machine, and changes" if m == 1 else "",
             )
         )
+
+
+def _times(seconds: FloatArray, rows: list[Row]) -> None:
+    """Section 3.1: the times of the simulated scenes."""
+    for name, printed in SIMULATED_S.items():
+        key = f"time-90-{name}".replace(" ", "-")
+        ours = float(seconds[METHODS.index(name)]) * TRACKS / 100
+        rows.append(row(key, "Section 3.1: processing of 90 tracks", name, "processor time", ours, printed=printed, unit="s"))
+
+
+def _genetic(ratios: dict[str, float], rows: list[Row]) -> None:
+    for scene, ratio in ratios.items():
+        rows.append(
+            row(
+                f"genetic-{scene}".replace(" ", "-"),
+                "Genetic algorithm",
+                scene,
+                "rms over that of the joint rigid fit, largest",
+                ratio,
+                high=1.02,
+                note="" if scene != SCENES[0] else "kept as a method, never as the default: it finds what one fit does",
+            )
+        )
+
+
+def _word(ratio: float) -> str:
+    """How an error that is `ratio` times another is called."""
+    return "the same" if abs(ratio - 1) <= 0.02 else "better" if ratio < 1 else "much worse" if ratio > 2 else "worse"
+
+
+def _verdicts(table: dict[str, FloatArray], seconds: FloatArray, rows: list[Row]) -> None:
+    """What the paper's sections 3.1 to 3.3 say of the methods, and what the same comparison says here."""
+    at = {name: k for k, name in enumerate(METHODS)}
+    paper, six, seven, plain = (at[n] for n in ("paper's method", "maximum likelihood [6]", "transform matrix [7]", "alpha-beta"))
+    one, two, real = table["scene 1"], table["scene 2"], table["white"]
+    found = [
+        ("1-range-6", "scene 1: paper's method against [6]", "range", "slightly worse", one[paper, 0] / one[six, 0], ""),
+        ("1-range-7", "scene 1: paper's method against [7]", "range", "slightly worse", one[paper, 0] / one[seven, 0], ""),
+        ("1-angles-6", "scene 1: paper's method against [6]", "angles", "better", _angles(one, paper, six),
+         "three offsets are no polar bias: a constant of range cannot take them out"),
+        ("1-angles-7", "scene 1: paper's method against [7]", "angles", "better", _angles(one, paper, seven), ""),
+        ("2-6", "scene 2 against scene 1: [6]", "angles", "much worse", two[six, 1:3].mean() / one[six, 1:3].mean(),
+         "it fails in both here"),
+        ("2-7", "scene 2 against scene 1: [7]", "angles", "worse", two[seven, 1:3].mean() / one[seven, 1:3].mean(), ""),
+        ("2-alpha-beta", "scene 2 against scene 1: alpha-beta", "angles", "worse",
+         two[plain, 1:3].mean() / one[plain, 1:3].mean(), ""),
+        ("2-paper", "scene 2: paper's method against [7]", "angles", "better", _angles(two, paper, seven), ""),
+        ("real-elevation-6", "real radar: [6] against [7]", "elevation", "worse", real[six, 1] / real[seven, 1],
+         "no filter, all the noise"),
+        ("real-elevation-plain", "real radar: alpha-beta against [7]", "elevation", "worse", real[plain, 1] / real[seven, 1], ""),
+        ("real-azimuth", "real radar: paper's method against [7]", "azimuth", "better", real[paper, 2] / real[seven, 2],
+         "Table 1 prints 0.07° for both"),
+        ("real-range", "real radar: paper's method against raw", "range", "worse", real[paper, 0] / real[at["raw"], 0],
+         "52.81 and 51.56 m are printed"),
+        ("quick", "paper's method against [7]", "processing time", "better", seconds[paper] / seconds[seven],
+         "ours of [7] is a few array operations"),
+    ]  # fmt: skip
+    for key, name, quantity, printed, ratio, note in found:
+        said = f"{_word(float(ratio))} (× {float(ratio):.2f})"
+        rows.append(row(f"verdict-{key}", "The paper's verdicts", name, quantity, said, printed=printed, note=note))
+    fastest = METHODS[1 + int(np.argmin(seconds[1:5]))]
+    rows.append(row("verdict-fastest", "The paper's verdicts", "fastest of the four", "method", fastest, printed="alpha-beta"))
+
+
+def _angles(error: FloatArray, a: int, b: int) -> float:
+    return float((error[a, 1:3] / error[b, 1:3]).mean())
 
 
 def _bias_in_prediction(settings: Settings, rows: list[Row]) -> None:
@@ -559,6 +687,10 @@ def _bias_in_prediction(settings: Settings, rows: list[Row]) -> None:
         off = polar_from_enu(position)[..., 0] - polar_from_enu(truth)[..., 0]
         found[name] = float(np.abs(off[:, settled]).mean())
         rows.append(row(f"eq-7-{name}".replace(" ", "-"), "Eq. 7", f"bias {name}", "range error, settled", found[name], unit="m"))
+    rows.append(
+        row("eq-7-once-ratio", "Eq. 7", "bias on the measurement once over none", "range error",
+            found["on the measurement once"] / found["none"], high=0.3)
+    )  # fmt: skip
     rows.append(
         row(
             "eq-7-ratio",
@@ -599,15 +731,30 @@ def _distributions(settings: Settings, rows: list[Row]) -> dict[str, FloatArray]
     clean = off[..., 2].ravel() / DEG
     spoilt = clean + (rng.random(len(clean)) < 1 / 30) * rng.normal(size=len(clean)) * 1.5
     out = {"errors of the scene “white”": clean, "with one gross error in thirty": spoilt}
+    table = "Figure 1: what distribution the errors have"
     for (name, values), (low, high) in zip(out.items(), ((1.0, 1.0), (2.0, None)), strict=True):
         found = distribution(values, most=3, seed=settings.seed)
         key = "clean" if low == 1.0 else "spoilt"
         parts = float(len(found.mixture.share))
         rows += [
-            row(f"figure-1-parts-{key}", "Figure 1", name, "parts of the mixture by BIC", parts, low=low, high=high),
-            row(f"figure-1-best-{key}", "Figure 1", name, "best by BIC", found.best),
-            row(f"figure-1-freedom-{key}", "Figure 1", name, "degrees of freedom of Student t", found.student.freedom),
-            row(f"figure-1-kurtosis-{key}", "Figure 1", name, "excess kurtosis", found.kurtosis),
+            row(
+                f"figure-1-parts-{key}",
+                "Figure 1: what distribution the errors have",
+                name,
+                "parts of the mixture by BIC",
+                parts,
+                low=low,
+                high=high,
+            ),
+            row(f"figure-1-best-{key}", table, name, "best by BIC", found.best),
+            row(
+                f"figure-1-freedom-{key}",
+                "Figure 1: what distribution the errors have",
+                name,
+                "degrees of freedom of Student t",
+                found.student.freedom,
+            ),
+            row(f"figure-1-kurtosis-{key}", table, name, "excess kurtosis", found.kurtosis),
         ]
     return out
 
@@ -653,30 +800,311 @@ def student_density(x: FloatArray, location: float, scale: float, freedom: float
     return np.asarray(t.pdf(x, freedom, location, scale))
 
 
-def _limits(rows: list[Row]) -> None:
-    """What the data cannot tell, or what a wrong model costs."""
-    below = np.hypot(_EARTH_M, 100e3) - _EARTH_M
+# ------------------------------------------------------------------------------------------------------------ the association
+@dataclass(frozen=True)
+class Clustered:
+    """K-medoids in one scene: shares (runs, 2, 3) by the denominators votes and plots of tracks without ADS-B that are paired,
+    and of those with ADS-B that are paired right and wrong."""
+
+    scene: str
+
+    def __call__(self, rng: np.random.Generator, runs: int) -> Result:
+        """Arrays with a leading axis of runs."""
+        return (np.array([self._one(rng) for _ in range(runs)]),)
+
+    def _one(self, rng: np.random.Generator) -> FloatArray:
+        errors, traffic = errors_of(self.scene, rng), draw(rng)
+        seen = enu_from_polar(errors.measure(rng, traffic))[:, ::_EVERY]
+        given = traffic.enu(np.broadcast_to(TIME_S, (TRACKS, SCANS)))[:_WITH_ADSB, ::_EVERY]
+        radar, reference = (
+            Traces(
+                at.reshape(-1, 3), lifted(at, 1.0)[..., 2].ravel(), np.tile(TIME_S[::_EVERY], len(at)),
+                np.repeat(np.arange(len(at)), at.shape[1]),
+            )
+            for at in (seen, given)
+        )  # fmt: skip
+        matched = TrackMatch(period_s=SCAN_S)(radar, reference)
+        right = matched.target == matched.track
+        by_votes = matched.target >= 0
+        # Plots are at least as many as votes: what passes by plots passes by votes.
+        by_plots = by_votes & (matched.share * matched.votes >= TrackMatch().threshold * matched.plots)
+        out = []
+        for paired in (by_votes, by_plots):
+            out.append([
+                paired[_WITH_ADSB:].mean(), (paired & right)[:_WITH_ADSB].mean(), (paired & ~right)[:_WITH_ADSB].mean(),
+            ])  # fmt: skip
+        return np.array(out)
+
+
+@dataclass(frozen=True)
+class Searched:
+    """The product's association of 90 aircraft: counts (runs, 4) of tracks with ADS-B, those paired right, pairs, wrong pairs;
+    and the sizes of the azimuth bias (runs,), degrees."""
+
+    def __call__(self, rng: np.random.Generator, runs: int) -> Result:
+        """Arrays with a leading axis of runs."""
+        counts, bias = [], []
+        for _ in range(runs):
+            seed = int(rng.integers(1 << 31))
+            given = simulate(association_scene(seed), seed)
+            counts.append(_counted(given))
+            bias.append(abs(given.errors["primary"]["azimuth_bias"]))
+        return np.array(counts), np.array(bias)
+
+
+def _counted(given: Simulated) -> tuple[int, int, int, int]:
+    """Tracks with ADS-B while they last, those of them whose pairs are of the right aircraft, pairs, and wrong pairs."""
+    plots, fixes = given.plots, given.fixes
+    found = search(plots, fixes, given.sensors)
+    number = targets_of(fixes)
+    owner = np.full(int(number.max()) + 1, -2)
+    owner[number] = given.fix_target
+    correct_pair = owner[found.pairs.target] == given.plot_target[found.pairs.plot]
+    with_reference = right = 0
+    for track in np.unique(plots.track[plots.track >= 0]):
+        rows = np.flatnonzero(plots.track == track)
+        own = given.plot_target[rows]
+        if len(rows) < 3 or not (own >= 0).any():
+            continue
+        mine = int(np.bincount(own[own >= 0]).argmax())
+        stamps = np.sort(fixes.time_s[given.fix_target == mine])
+        if not len(stamps):
+            continue
+        at = plots.time_s[rows]
+        if np.mean(np.searchsorted(stamps, at + 5.0) > np.searchsorted(stamps, at - 5.0)) < 0.5:
+            continue
+        with_reference += 1
+        here = np.isin(found.pairs.plot, rows)
+        right += bool(here.any() and np.mean(owner[found.pairs.target[here]] == mine) > 0.5)
+    return with_reference, right, len(found.pairs), int((~correct_pair).sum())
+
+
+def _association(settings: Settings, rows: list[Row]) -> None:
+    table = "Association: 90 radar tracks, 18 of them without ADS-B"
+    runs = 6 if settings.quick else 48
+    shares = {s: settings.runs(Clustered(s), runs, f"{s}, K-medoids", chunk=1)[0] for s in ("scene 1", "white")}
+    for d, denominator in enumerate(("of the votes", "of all plots")):
+        for scene, found in shares.items():
+            for k, what in enumerate(("without ADS-B that are paired", "paired right", "paired wrong")):
+                rows.append(
+                    row(
+                        f"medoids-{scene}-{d}-{k}".replace(" ", "-"),
+                        table,
+                        f"K-medoids, {scene}, 85 % {denominator}",
+                        f"share of tracks {what}",
+                        float(found[:, d, k].mean()),
+                        low=0.95 if (d, k) == (0, 1) else None,
+                        high=0.01 if k == 2 else None,
+                    )
+                )
+    every = np.concatenate([found[:, 0, 0] for found in shares.values()])
+    room = 2 * float(every.std(ddof=1)) / np.sqrt(len(every)) if settings.quick else 0.0
     rows.append(
-        row("limit-flat-earth", "Limits", "a flat earth at 100 km", "height error", float(below), low=784.0, high=786.0, unit="m")
+        row(
+            "medoids-lone",
+            table,
+            "K-medoids, both scenes, 85 % of the votes",
+            "share of tracks without ADS-B that are paired",
+            float(every.mean()),
+            low=0.30 - room,
+            high=0.39 + room,
+            note="why it is not the default" + (f"; widened by {room:.2f}, twice the sampling error" if settings.quick else ""),
+        )
     )
+    counts, bias = settings.runs(Searched(), 2 if settings.quick else 10, "the search over biases", chunk=1)
+    tracks, right, pairs, wrong = (float(v) for v in counts.sum(axis=0))
+    name = f"the search over biases, azimuth biases to {bias.max():.1f}°"
+    rows += [
+        row("search-right", table, name, "share of tracks paired right", right / tracks, low=0.98, note="no identities"),
+        row("search-wrong", table, name, "share of pairs that are wrong", wrong / pairs, high=0.01,
+            note="all pairs counted, those of tracks without ADS-B too"),
+    ]  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------------------------------ the limits
+def _level(start: FloatArray, course: float, speed: float, height: float) -> Traffic:
+    """One airliner that flies level and straight."""
+    none = np.zeros(1)
+    return Traffic(start[None], np.full(1, course), np.full(1, speed), none, none, none, np.full(1, height), none)
+
+
+def _radial(settings: Settings, rows: list[Row]) -> None:
+    """One track that flies away from the radar: what of its range bias is lateness cannot be told."""
+    table = "Limits: one radial track"
+    rng = np.random.default_rng([settings.seed, 11])
+    bearing = 0.7
+    traffic = _level(_RADIAL_M * np.array([np.sin(bearing), np.cos(bearing)]), bearing, _RADIAL_MPS, _RADIAL_HEIGHT_M)
+    errors = errors_of("white", rng)
+    model = ["range_bias", "azimuth_bias", "elevation_bias", "time_offset"]
+    sd, alike, named = [], [], 0
+    for _ in range(12):
+        pairs = pairs_of(errors.measure(rng, traffic), traffic, np.zeros(3))
+        both = register(pairs, SENSORS, model=model, settings=LeastSquares(max_correlation=1.0))
+        far, late = (both.index(RADAR.key, name) for name in ("range_bias", "time_offset"))
+        if far is not None and late is not None:
+            part = both.covariance[0][np.ix_([far, late], [far, late])]
+            sd.append(np.sqrt(np.diag(part)))
+            alike.append(part[0, 1] / np.sqrt(part[0, 0] * part[1, 1]))
+        found = register(pairs, SENSORS, model=model)
+        named += any(n.term == "time_offset" for n in found.not_determined)
+    mean = np.mean(sd, axis=0)
+    rows += [
+        row("radial-range", table, "both terms kept", "sd of the range bias", float(mean[0]), low=229.0, high=279.0, unit="m",
+            note="254 m and 1.74 s in an independent reproduction"),
+        row("radial-time", table, "both terms kept", "sd of the time offset", float(mean[1]), low=1.57, high=1.91, unit="s"),
+        row("radial-correlation", table, "both terms kept", "correlation of their estimates", float(np.mean(alike)), low=0.95,
+            high=1.0),
+        row("radial-named", table, "the default", "share of runs that name the time offset as not determined", named / 12,
+            low=1.0, high=1.0, note="and print no number for it"),
+    ]  # fmt: skip
+
+
+def _aliases(rows: list[Row]) -> None:
+    table = "Limits: what is another's alias"
+    r, a, e = (v.ravel() for v in np.meshgrid([20e3, 60e3, 100e3], np.linspace(0, 6, 13), np.radians([0.0, 2.0, 8.0])))
+    none = np.zeros((len(r), 3))
+    gone = np.full(len(r), np.nan)
+    place = Geometry(r, a, e, none, none, none, gone, gone, np.zeros(len(r)))
+    turned, biased = TERMS["rotation_up"].columns(place), TERMS["azimuth_bias"].columns(place)
+    rows.append(
+        row("alias-columns", table, "rotation about the vertical, azimuth bias", "largest difference of their columns",
+            float(np.abs(np.abs(turned) - np.abs(biased)).max()), high=1e-12, note="the same error by two names")
+    )  # fmt: skip
+    traffic = draw(np.random.default_rng(3), 20)
+    errors = errors_of("white", np.random.default_rng(3))
+    pairs = pairs_of(errors.measure(np.random.default_rng(4), traffic), traffic, np.zeros(3))
+    try:
+        kept = [key.name for key in register(pairs, SENSORS, model=["azimuth_bias", "rotation_up"]).terms]
+    except SettingsError:
+        kept = []
+    said = "refused" if not kept else f"only {kept[0]}" if len(kept) == 1 else "both fitted"
+    rows.append(row("alias-asked", table, "rotation about the vertical, azimuth bias", "both asked for", said))
+
+
+def _sector(settings: Settings, rows: list[Row]) -> None:
+    """Elevation bias and tilt of traffic all around, and of as many tracks in 30°."""
+    rng = np.random.default_rng([settings.seed, 13])
+    traffic = draw(rng, 480)
+    middle = traffic.enu(np.full((480, 1), TIME_S[-1] / 2))[:, 0]
+    bearing = np.mod(np.arctan2(middle[:, 0], middle[:, 1]), 2 * np.pi)
+    inside = np.flatnonzero(bearing < 30 * DEG)
+    around = np.arange(len(inside))
+    sd = []
+    for which in (around, inside):
+        some = Traffic(*(getattr(traffic, name)[which] for name in Traffic.__dataclass_fields__))
+        pairs = pairs_of(errors_of("white", rng).measure(rng, some), some, np.zeros(3))[::3]
+        model = ["elevation_bias", "tilt_north", "tilt_east"]
+        found = register(pairs, SENSORS, model=model, settings=LeastSquares(max_correlation=1.0))
+        at = found.index(RADAR.key, "elevation_bias")
+        sd.append(np.inf if at is None else float(np.sqrt(found.covariance[0, at, at])) / DEG)
+    table = "Limits: elevation bias and tilt"
+    name = f"{len(inside)} tracks in a sector of 30°"
+    rows += [
+        row("sector-around", table, f"{len(inside)} tracks all around", "sd of the elevation bias", sd[0], high=0.02, unit="°"),
+        row("sector-inside", table, name, "sd of the elevation bias", sd[1], unit="°"),
+        row("sector-ratio", table, name, "sd over that of tracks all around", sd[1] / sd[0], low=5.0),
+    ]
+
+
+def _pairing(settings: Settings, rows: list[Row]) -> None:
+    """Iterated closest points on one straight track, paired by place and by time."""
+    table = "Limits: one straight track, 206 m off along it"
+    rng = np.random.default_rng([settings.seed, 17])
+    along, across = np.array([np.sin(0.7), np.cos(0.7), 0.0]), np.array([np.cos(0.7), -np.sin(0.7), 0.0])
+    reference = np.array([10e3, 40e3, 9e3]) + 220.0 * np.outer(np.arange(-180.0, 180.0, 0.25), along)
+    offset = 206.0 * along + 100.0 * across + np.array([0.0, 0.0, 100.0])
+    left: dict[str, list[float]] = {"nearest": [], "time": []}
+    for _ in range(5):
+        cloud = Clouds(
+            reference + offset + rng.normal(size=reference.shape) * 50.0, reference, np.zeros(len(reference), np.int64)
+        )
+        for pairing, off in left.items():
+            found = RansacIcp(pairing="nearest" if pairing == "nearest" else "time")(cloud)
+            off.append(abs(float((found(reference + offset) - reference).mean(axis=0) @ along)))
+    rows += [
+        row("pairing-nearest", table, "paired with the nearest point (the paper)", "what is left along the track",
+            float(np.median(left["nearest"])), low=190.0, unit="m", note="201 of 206 m in an independent reproduction"),
+        row("pairing-time", table, "paired by time (ours)", "what is left along the track", float(np.max(left["time"])),
+            high=10.0, unit="m"),
+    ]  # fmt: skip
+
+
+def _limits(settings: Settings, rows: list[Row]) -> None:
+    """What the data cannot tell, or what a wrong model costs."""
+    _radial(settings, rows)
+    _aliases(rows)
+    _sector(settings, rows)
+    _pairing(settings, rows)
+    table = "Limits: what a wrong model costs"
+    below = np.hypot(_EARTH_M, 100e3) - _EARTH_M
+    level = 9e3 - below
+    tilted = (np.arcsin((level + 300.0) / 100e3) - np.arcsin(level / 100e3)) / DEG
+    about_centre = float(np.linalg.norm(SITE)) * 0.25 * DEG / 1e3
+    rows += [
+        row("limit-flat-earth", table, "a flat earth at 100 km", "height error", float(below), low=784.0, high=786.0, unit="m"),
+        row("limit-pressure", table, "a pressure altitude 300 m off at 100 km", "taken for an elevation bias of", float(tilted),
+            low=0.168, high=0.177, unit="°"),
+        row("limit-centre", table, "0.25° about the Earth's centre, not the radar", "shift of the picture", about_centre,
+            low=27.7, high=27.9, unit="km"),
+    ]  # fmt: skip
+
+
+# ----------------------------------------------------------------------------------------------------------------- the figures
+# Name, scene, and what the paper's figure is of.
+_COURSES = (
+    ("figure-3", "scene 1", "Paper's figure 3: errors over time of each method in its scene 1"),
+    ("figure-4", "scene 2", "Paper's figure 4: the same in scene 2, where the picture is turned too"),
+    (
+        "figure-5",
+        "white",
+        "Paper's figure 5, of a real radar; here the scene “white”, which has its errors",
+    ),
+)
+_COLOURS = (QUIET, BEFORE, BEFORE_LIGHT, "#d9b38c", "#b9bfc6", AFTER_LIGHT, AFTER)
+
+
+def _course_figure(name: str, scene: str, caption: str, course: FloatArray) -> Drawing:
+    """Mean absolute errors (methods, K, 4) over time."""
+    with style(name):
+        figure, (axes,) = axes_grid(1, 3, 2.7, top=0.62)
+        for k, (axis, (quantity, unit)) in enumerate(zip(axes, QUANTITIES, strict=True)):
+            for m, colour in enumerate(_COLOURS):
+                axis.plot(TIME_S, course[m, :, k], color=colour, linewidth=1.3, zorder=2 + m)
+            axis.set_yscale("log")
+            axis.set_title(f"{quantity} ({unit})", color=INK)
+            axis.set_xlabel("time (s)")
+            axis.set_xlim(0, TIME_S[-1])
+            plain_log_axis(axis)
+        axes[0].set_ylabel("mean absolute error")
+        legend(figure, [(line(c), n) for c, n in zip(_COLOURS, METHODS, strict=True)])
+        svg = to_svg(figure, name)
+    text = f"{caption}. Mean over {TRACKS} tracks that no method was trained on; a filter's first scans are those of the plots."
+    return Drawing(name, svg, text, f"Errors of range, elevation and azimuth over time, {scene}")
+
+
+def plain_log_axis(axis: Axes) -> None:
+    """Label a logarithmic axis at 1, 2 and 5 in plain numbers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.yaxis.set_major_locator(LogLocator(10, (1.0, 2.0, 5.0)))
+    axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _figure(table: dict[str, FloatArray]) -> Drawing:
-    colours = (QUIET, BEFORE, BEFORE_LIGHT, "#d9b38c", "#b9bfc6", AFTER_LIGHT, AFTER)
     name = "mean-errors"
     with style(name):
         figure, (axes,) = axes_grid(1, 3, 2.7, top=0.62)
         for k, (axis, (quantity, unit)) in enumerate(zip(axes, QUANTITIES, strict=True)):
             for m in range(len(METHODS)):
                 at = np.arange(len(SCENES)) + (m - 3) * 0.12
-                axis.bar(at, [table[s][m, k] for s in SCENES], 0.11, color=colours[m])
+                axis.bar(at, [table[s][m, k] for s in SCENES], 0.11, color=_COLOURS[m])
             axis.set_xticks(range(len(SCENES)), SCENES)
             axis.set_title(f"{quantity} ({unit})", color=INK)
             axis.set_yscale("log")
-            axis.yaxis.set_major_formatter("{x:g}")
-            axis.yaxis.set_minor_formatter("{x:g}")
+            plain_log_axis(axis)
         axes[0].set_ylabel("mean absolute error")
-        entries = [(band(c), n) for c, n in zip(colours, METHODS, strict=True)]
+        entries = [(band(c), n) for c, n in zip(_COLOURS, METHODS, strict=True)]
         for handle, _ in entries:
             handle.set_alpha(1.0)
         legend(figure, entries)
@@ -684,6 +1112,6 @@ def _figure(table: dict[str, FloatArray]) -> Drawing:
     return Drawing(
         name,
         svg,
-        "Mean absolute errors of each method on the tracks that it was not trained on (the paper's figures 3 to 5).",
+        "Mean absolute errors of each method on tracks that it was not trained on, in all four scenes.",
         "Mean absolute errors of seven methods in four scenes",
     )

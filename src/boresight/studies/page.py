@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ def write_study(study: Study, path: str | Path) -> Path:
         study=study,
         version=__version__,
         css=markupsafe.Markup(css),
-        tables=[(name, [_cells(r) for r in rows]) for name, rows in by_table(study)],
+        tables=[(f"table-{k}", name, list(_blocks(rows))) for k, (name, rows) in enumerate(by_table(study))],
         figures=study.figures,
         held=sum(bool(r.holds) for r in bounded),
         bounded=len(bounded),
@@ -55,7 +56,7 @@ def study_text(study: Study) -> str:
             (
                 r.row,
                 f"{r.quantity}{', ' + r.unit if r.unit else ''}",
-                number(r.printed),
+                given(r.printed),
                 number(r.ours),
                 bound_text(r.bound),
                 "" if r.holds is None else "holds" if r.holds else "FAILS",
@@ -73,24 +74,76 @@ def study_text(study: Study) -> str:
     return "\n".join(lines)
 
 
+# A grid of more columns does not fit a page.
+_WIDEST = 8
+
+
+def _blocks(rows: list[Row]) -> Iterator[dict[str, object]]:
+    """A table in blocks: a grid where several lines hold the same quantities, else a list of one number a line."""
+    lines = {name: [r for r in rows if r.row == name] for name in dict.fromkeys(r.row for r in rows)}
+
+    def heads(line: list[Row]) -> tuple[str, ...]:
+        return tuple(f"{r.quantity}{', ' + r.unit if r.unit else ''}" for r in line)
+
+    def is_grid(group: list[tuple[str, list[Row]]]) -> bool:
+        head = heads(group[0][1])
+        return len(group) > 1 and 2 <= len(head) <= _WIDEST and len(set(head)) == len(head)
+
+    groups = [list(group) for _, group in groupby(lines.items(), lambda item: heads(item[1]))]
+    for grid, parts in groupby(groups, is_grid):
+        if grid:
+            for found in parts:
+                yield {
+                    "grid": True,
+                    "heads": heads(found[0][1]),
+                    "lines": [(name, [_cells(r) for r in line], _notes(line)) for name, line in found],
+                    "notes": any(r.note for _, line in found for r in line),
+                }
+            continue
+        every = [line for found in parts for _, line in found]
+        flat = [r for line in every for r in line]
+        yield {
+            "grid": False,
+            "lines": [_cells(r) | {"first": k == 0} for line in every for k, r in enumerate(line)],
+            "printed": any(r.printed is not None for r in flat),
+            "bounds": any(r.bound is not None for r in flat),
+            "notes": any(r.note for r in flat),
+        }
+
+
+def _notes(line: list[Row]) -> str:
+    """The notes of a line of a grid, each once, with its quantity where they differ."""
+    told = {r.note: r.quantity for r in reversed(line) if r.note}
+    return "; ".join(note if len(told) == 1 else f"{quantity}: {note}" for note, quantity in reversed(told.items()))
+
+
 def _cells(r: Row) -> dict[str, object]:
     return {
-        "id": r.id, "row": r.row, "quantity": r.quantity, "unit": r.unit, "printed": number(r.printed), "ours": number(r.ours),
+        "id": r.id, "row": r.row, "quantity": r.quantity, "unit": r.unit, "printed": given(r.printed), "ours": number(r.ours),
         "bound": bound_text(r.bound), "holds": r.holds, "note": r.note,
     }  # fmt: skip
 
 
 def number(value: float | str | None) -> str:
-    """Four significant digits, words as they are, and nothing where there is none."""
+    """Four significant digits, whole numbers and words as they are, and nothing where there is none."""
     if value is None:
         return ""
     if isinstance(value, str):
         return value
     if not np.isfinite(value):
         return "–"
-    size = abs(value)
-    places = 0 if size >= 1000 else int(np.clip(3 - np.floor(np.log10(size)), 0, 6)) if size > 0 else 0
-    text = f"{value:.{places}f}" if size == 0 or size >= 1e-5 else f"{value:.2e}"
+    # As rounded: 0.99999 has the places of 1.
+    size = float(f"{abs(value):.3e}")
+    places = 0 if size >= 1000 or value == round(value) else int(np.clip(3 - np.floor(np.log10(size)), 0, 6))
+    return _signed(f"{value:.{places}f}" if size == 0 or size >= 1e-5 else f"{value:.2e}")
+
+
+def given(value: float | str | None, digits: int = 6) -> str:
+    """A number as it is written in a paper or a bound: no more digits than it has."""
+    return number(value) if value is None or isinstance(value, str) else _signed(f"{value:.{digits}g}")
+
+
+def _signed(text: str) -> str:
     return text.replace("-", "\u2212")
 
 
@@ -98,6 +151,11 @@ def bound_text(bound: Bound | None) -> str:
     """The bound in signs."""
     if bound is None:
         return ""
+    low, high = (None if end is None else given(end, 4) for end in (bound.low, bound.high))
     if bound.low is not None and bound.high is not None:
-        return f"{number(bound.low)} … {number(bound.high)}"
-    return f"≥ {number(bound.low)}" if bound.low is not None else f"≤ {number(bound.high)}"
+        if bound.low == bound.high:
+            return f"= {given(bound.low)}"
+        if low == high:
+            return f"{given((bound.low + bound.high) / 2)} ± {given((bound.high - bound.low) / 2, 1)}"
+        return f"{low} … {high}"
+    return f"≥ {low}" if low is not None else f"≤ {high}"
