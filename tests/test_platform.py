@@ -16,7 +16,7 @@ from boresight.errors import SettingsError
 from boresight.geodesy import ecef_from_geodetic, enu_from_ecef
 from boresight.measure import heading_about, polar_from_position, polar_motion, site_of, wrap_rad
 from boresight.model import Fixes, Flag, Platform, Plots, Sensor, Sensors, check_sensors
-from boresight.platform import antenna_axes, deck_from_enu, moving, platform_views, position_at, view_of
+from boresight.platform import antenna_axes, deck_from_enu, moving, platform_views, plot_places, position_at, view_of
 
 FERRY = Sensor(name="ferry", id=65536, kind="marine")
 DEG = np.pi / 180
@@ -361,6 +361,25 @@ def test_the_heading_that_a_reader_added_is_taken_off_again() -> None:
     np.testing.assert_allclose(
         wrap_rad(bow.azimuth_rad - plots.azimuth_rad), np.where(when < 30, -40 * DEG, 0.0), atol=1e-12
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("angles", ["north", "bow", "deck"])
+@pytest.mark.parametrize("solid", [True, False])
+def test_plots_are_put_where_the_target_is(angles: str, solid: bool) -> None:
+    """Seen from a leaning deck with the antenna on its mast, and put back: by elevation, and by height alone."""
+    ship = still(50.0, 9.0, -4.0)
+    sensor = Sensor(name="ferry", id=65536, angles=angles, lever_arm_m=(20.0, 3.0, 25.0))
+    for bearing in range(0, 360, 45):
+        target = buoy(float(bearing), 3000.0, 400.0)
+        found = look(ship, target, sensor, np.array([30.0]))[1]
+        plots = Plots(
+            time_s=np.array([30.0]), sensor=np.array([65536]), range_m=found[:, 0], azimuth_rad=found[:, 1],
+            elevation_rad=found[:, 2] if solid else np.array([np.nan]),
+        )  # fmt: skip
+        place = plot_places(plots, ship, sensor, np.array([np.nan]) if solid else target.height_m[:1])
+        assert np.linalg.norm(place - place_of(target)) < 0.02
+    too_high = plot_places(plots.replace(elevation_rad=np.array([np.nan])), ship, sensor, np.array([9000.0]))
+    assert np.isnan(too_high).all()
 
 
 def test_a_view_is_asked_by_states() -> None:

@@ -18,8 +18,8 @@ import numpy as np
 from ._types import BoolArray, FloatArray
 from .alignment import States, Trajectories, states, trajectories
 from .errors import SettingsError
-from .geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate, rotate_back
-from .measure import wrap_turn
+from .geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, height_and_up, rotate, rotate_back
+from .measure import enu_jacobian, from_true_north, position_from_polar, wrap_turn
 from .model import Fixes, Flag, Platform, Plots, Sensor, Sensors
 
 # Neither position nor heading is interpolated across a longer silence; ships roll and pitch faster than they turn.
@@ -28,6 +28,7 @@ _MAX_GAP_S, _SWING_GAP_S = 10.0, 3.0
 _RATE_S = 0.25
 # Only what own ship's positions tell of their own scatter counts: a value to begin with.
 _OWN_SD_M = 3.0
+_NEWTON_STEPS = 8
 
 
 # ------------------------------------------------------------------------------------------------------------------- frames
@@ -347,14 +348,48 @@ def platform_views(plots: Plots, platform: Platform, sensors: Sensors) -> tuple[
             if not known.all():
                 count = f"{np.count_nonzero(~known):,} of {len(known):,} plots"
                 said.append(f"{sensor.name}: {count} are at times when the platform's own {what} is not known: not used")
-        added = rows & ((plots.flags & np.uint32(Flag.FROM_BOW)) != 0)
-        if view.angles != "north" and added.any():
+        if view.angles != "north" and (plots.flags[rows] & np.uint32(Flag.FROM_BOW)).any():
             azimuth = azimuth.copy()
-            heading, known = view.heading.at(plots.time_s[added])
-            azimuth[added] = np.where(known, wrap_turn(azimuth[added] - heading), np.nan)
+            azimuth[rows] = _as_measured(plots[rows], view)
     if azimuth is not plots.azimuth_rad:
         plots = plots.replace(azimuth_rad=azimuth)
     return plots, views, msgspec.structs.replace(sensors, sensor=tuple(entries)), tuple(said)
+
+
+def _as_measured(plots: Plots, view: View) -> FloatArray:
+    """Azimuths (n,) from what they were measured from: a heading that a reader has added to them is taken off again."""
+    added = (plots.flags & np.uint32(Flag.FROM_BOW)) != 0
+    if view.angles == "north" or not added.any():
+        return plots.azimuth_rad
+    return np.where(added, wrap_turn(plots.azimuth_rad - view.heading.at(plots.time_s)[0]), plots.azimuth_rad)
+
+
+def plot_places(plots: Plots, platform: Platform, sensor: Sensor, height_m: FloatArray) -> FloatArray:
+    """Where plots (n,) of one moving radar lie: positions (n, 3), ECEF metres.
+
+    By the elevation where one was measured, else on the ellipsoidal height `height_m` (n,): of a radar on a leaning deck both the
+    direction and the height depend on the elevation, which is found by Newton's method.  NaN where own ship's place or attitude
+    is not known, or no elevation leads to that height.  Raises SettingsError as `view_of` does.
+    """
+    view, _, _ = view_of(platform, sensor)
+    origin, axes = view.pose(plots.time_s)
+    azimuth = from_true_north(_as_measured(plots, view), sensor)
+    measured = np.isfinite(plots.elevation_rad)
+    _, up = height_and_up(origin)
+    lean = rotate(axes, up)
+    # Level with the antenna, which a leaning deck is not.
+    level = -np.arctan2(np.sin(azimuth) * lean[:, 0] + np.cos(azimuth) * lean[:, 1], lean[:, 2])
+    elevation = np.where(measured, plots.elevation_rad, level)
+    position, missing = origin, np.zeros(len(plots))
+    for _ in range(_NEWTON_STEPS):
+        polar = np.stack([plots.range_m, azimuth, elevation], axis=1)
+        position = position_from_polar(polar, origin, axes)
+        height, up = height_and_up(position)
+        missing = np.where(measured, 0.0, height_m - height)
+        climb = np.einsum("ni,ni->n", rotate(axes, up), enu_jacobian(polar)[:, :, 2])
+        step = missing / np.where(np.abs(climb) > 1e-6, climb, np.nan)
+        elevation = np.where(measured, elevation, elevation + np.clip(step, -0.3, 0.3))
+    return np.where((np.abs(missing) < 0.01)[:, None], position, np.nan)
 
 
 def _standing(platform: Platform, sensor: Sensor, said: list[str]) -> Sensor:

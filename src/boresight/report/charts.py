@@ -66,21 +66,20 @@ def own_places(r: Residuals, platform: Platform, sensor: Sensor) -> tuple[FloatA
 
     The residuals of a moving radar are about one fixed point; what they hold relative to it is put back about the platform.
     """
-    from ..geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate_back
-    from ..platform import position_at
+    from msgspec import structs
+
+    from ..geodesy import geodetic_from_ecef, rotate_back
+    from ..platform import view_of
 
     own = platform[platform.sensor == sensor.key]
-    if not len(own):
+    if not (np.isfinite(own.latitude_rad) & np.isfinite(own.longitude_rad)).any():
         return None
-    here, known = position_at(own, r.time_s)
-    lat, lon, up = geodetic_from_ecef(here)
+    # At own ship's height: what is drawn lies near the sea.
+    origin, axes = view_of(own, structs.replace(sensor, height_m=None, height_msl_m=None))[0].pose(r.time_s)
     flat = r.reference_range_m * np.cos(r.reference_elevation_rad)
-    enu = np.stack([flat * np.sin(r.reference_azimuth_rad), flat * np.cos(r.reference_azimuth_rad), np.zeros(len(r))], axis=1)
-    there = ecef_from_geodetic(lat, lon, up) + rotate_back(enu_from_ecef(lat, lon), enu)
-    latitude, longitude, _ = geodetic_from_ecef(there)
-    unknown = ~known
-    latitude, longitude = latitude.copy(), longitude.copy()
-    latitude[unknown] = longitude[unknown] = np.nan
+    up = r.reference_range_m * np.sin(r.reference_elevation_rad)
+    seen = np.stack([flat * np.sin(r.reference_azimuth_rad), flat * np.cos(r.reference_azimuth_rad), up], axis=1)
+    latitude, longitude, _ = geodetic_from_ecef(origin + rotate_back(axes, seen))
     return latitude, longitude
 
 

@@ -16,6 +16,7 @@ from ..errors import InputError, SettingsError
 from ..geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef
 from ..measure import plot_positions, position_from_height
 from ..model import Channel, Platform, Plots, Sensors, unpack_callsigns
+from ..platform import plot_places
 from .tables import _columns
 
 BLOCK = 16384
@@ -131,14 +132,17 @@ def _plot_places(plots: Plots, sensors: Sensors | None, platform: Platform | Non
         own_height = np.nan_to_num(own.height_m)
         path = ecef_from_geodetic(own.latitude_rad, own.longitude_rad, own_height)
         at = np.stack([np.interp(plots.time_s[rows], time, path[:, k]) for k in range(3)], axis=1)
-        # Beyond the platform's reports by more than this nobody knows where it was.
-        known = (plots.time_s[rows] >= time[0] - _BEYOND_S) & (plots.time_s[rows] <= time[-1] + _BEYOND_S)
-        rows, at = rows[known], at[known]
-        latitude, longitude, _ = geodetic_from_ecef(at)
         sensor = sensors.find(key) if sensors is not None else None
         ground = sensor.ground_height_m if sensor is not None and sensor.ground_height_m is not None else None
         level = np.interp(plots.time_s[rows], time, own_height) if ground is None else np.full(len(rows), ground)
         height = np.where(np.isfinite(plots.height_m[rows]), plots.height_m[rows], level)
+        if sensor is not None and (sensor.angles != "north" or sensor.lever_arm_m is not None):
+            out[rows] = plot_places(plots.take(rows), platform, sensor, height)
+            continue
+        # Beyond the platform's reports by more than this nobody knows where it was.
+        known = (plots.time_s[rows] >= time[0] - _BEYOND_S) & (plots.time_s[rows] <= time[-1] + _BEYOND_S)
+        rows, at, height = rows[known], at[known], height[known]
+        latitude, longitude, _ = geodetic_from_ecef(at)
         north = 0.0 if sensor is None else math.radians(sensor.north_offset_deg)
         azimuth = plots.azimuth_rad[rows] + north
         out[rows] = position_from_height(plots.range_m[rows], azimuth, height, at, enu_from_ecef(latitude, longitude))
