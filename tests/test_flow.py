@@ -60,6 +60,24 @@ def test_an_earlier_result_is_kept(demo: tuple[Path, flow.Run], tmp_path: Path) 
     assert (folder / "calibration.json").read_bytes() != first["calibration.json"]
 
 
+def test_an_interrupted_demonstration_leaves_nothing_and_loses_nothing(
+    demo: tuple[Path, flow.Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "demo"
+    shutil.copytree(demo[0], folder)
+    first = {p.name: p.read_bytes() for p in folder.iterdir()}
+
+    def stopped(*_: object, **__: object) -> flow.Run:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(flow, "calibrate", stopped)
+    for out in (folder, tmp_path / "new" / "demo"):
+        with pytest.raises(KeyboardInterrupt):
+            flow.demo(out, seed=4)
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == first
+    assert not (tmp_path / "new").exists()
+
+
 def test_exchanged_arguments_are_said(scene) -> None:
     _, files = scene
     with pytest.raises(NothingToDo, match="exchanged"):

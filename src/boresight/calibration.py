@@ -166,6 +166,12 @@ class Calibration:
         """Standard deviations (k, p), SI."""
         return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
 
+    @property
+    def against(self) -> str:
+        """What the plots were compared with, in words: the reference, or the main radar's tracks."""
+        main = self.settings.get("main")
+        return f"{main}'s tracks" if main else "the reference"
+
     def interval(self, level: float = 0.95) -> FloatArray:
         """Confidence intervals (k, p, 2), SI: the value lies within with probability `level`.
 
@@ -200,12 +206,14 @@ class Calibration:
                 rows.append((name, value, sd, key.unit))
         wide = [max(len(row[c]) for row in rows) for c in range(4)]
         lines += [f"  {a:<{wide[0]}}  {b:>{wide[1]}}  {c:>{wide[2]}}  {d}" for a, b, c, d in rows]
+        if len(self.epoch_s) > 1:
+            lines.append(f"  these are the newest of {len(self.epoch_s)} epochs: {_iso(self.epoch_s[-1])}")
         noise = [f"range {s.noise.range_m:.1f} m", f"azimuth {s.noise.azimuth_rad / DEG:.3f} deg"]
         if np.isfinite(s.noise.elevation_rad):
             noise.append(f"elevation {s.noise.elevation_rad / DEG:.3f} deg")
         lines.append(f"  noise (1 sd): {', '.join(noise)}")
         lines.append(
-            f"  distance to the reference: median {s.before.median_m:.1f} m, 95 % {s.before.p95_m:.1f} m before; "
+            f"  distance to {self.against}: median {s.before.median_m:.1f} m, 95 % {s.before.p95_m:.1f} m before; "
             f"{s.after.median_m:.1f} m, {s.after.p95_m:.1f} m after"
         )
         if np.isfinite(s.held_out_after_median_m):
@@ -443,6 +451,10 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     settings: dict[str, Any]
 
 
+def _iso(time_s: float) -> str:
+    return datetime.datetime.fromtimestamp(time_s, datetime.UTC).isoformat().replace("+00:00", "Z")
+
+
 def _null(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
@@ -469,10 +481,7 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
         schema=SCHEMA,
         version=calibration.version,
         epoch_s=calibration.epoch_s.tolist(),
-        epoch=[
-            datetime.datetime.fromtimestamp(t, datetime.UTC).isoformat().replace("+00:00", "Z")
-            for t in calibration.epoch_s.tolist()
-        ],
+        epoch=[_iso(t) for t in calibration.epoch_s.tolist()],
         terms=tuple(_TermFile(key.sensor, key.channel, key.name, key.unit) for key in calibration.terms),
         value=(calibration.value / units).tolist(),
         sd=(calibration.sd / units).tolist(),
@@ -648,7 +657,7 @@ def summary_json(calibration: Calibration) -> dict[str, Any]:
     """What ``boresight calibrate --json`` prints: by sensor the terms in their units, noise, counts, accuracy and what is
     missing.
 
-    The notes on a sensor stand among the warnings, after its name.
+    Values over time are those of the last epoch.  The notes on a sensor stand among the warnings, after its name.
     """
     sd = calibration.sd
     sensors: dict[str, Any] = {}
@@ -703,6 +712,9 @@ def summary_json(calibration: Calibration) -> dict[str, Any]:
         }
     notes = [f"{s.name}: {note}" for s in calibration.sensors for note in s.notes]
     return {
+        "method": calibration.settings.get("method", ""),
+        "relative_to": calibration.settings.get("main"),
+        "epochs": {"count": len(calibration.epoch_s), "last": _iso(float(calibration.epoch_s[-1]))},
         "sensors": sensors,
         "inputs": [msgspec.to_builtins(i) for i in calibration.inputs],
         "warnings": [*calibration.warnings, *notes],

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import math
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,23 +19,26 @@ from typing import TYPE_CHECKING
 
 from . import __version__
 from .errors import InputError, NothingToDo, SettingsError
-from .model import Fixes, Platform, Plots, Recording, Sensors, Source, load_sensors
+from .model import Fixes, Pairs, Platform, Plots, Recording, Sensor, Sensors, Source, load_sensors
 
 if TYPE_CHECKING:
     from ._types import AnyArray, IntArray
     from .assessment.requirement import Conformity, Requirement
     from .assessment.residuals import Residuals
-    from .association import Association
+    from .association import Association, AssociationSettings
     from .calibration import Calibration, Criterion, Input
-    from .frozen import Frozen
+    from .frozen import Frozen, Settings
     from .heights import HeightProfile
+    from .registration.mean_shift import Online, Samples
+    from .registration.methods import Method
     from .report import Evidence
     from .writing.reencode import Original, Reencoded
     from .writing.sidecar import Provenance
 
 Progress = Callable[[str], None]
-# conformity.json is there where a requirement was given.
-_RESULTS = ("calibration.json", "residuals.parquet", "report.html", "run.json", "conformity.json")
+# conformity.json is there where a requirement was given, biases.csv where the errors are over time.
+_RESULTS = ("calibration.json", "residuals.parquet", "report.html", "run.json", "conformity.json", "biases.csv")
+_BIASES = ("range_bias", "azimuth_bias", "elevation_bias")
 
 
 def _silent(_: str) -> None:
@@ -60,10 +64,12 @@ class Run:
     that were the reference; `truth` is filled where the scene was simulated, `conformity` where a requirement was given.
     `evidence` is what the recordings tell besides the pairs: clocks, PSR - SSR, the path of a moving radar.
     `frozen` is what the run was made from, for run.json; `heights` is what stood for the height of what tells only pressure.
+    Where the errors are over time, `samples` are the single differences that they were found from, by sensor.  Where radars were
+    compared with a main one, `association` is None, and the residuals are against the main radar's tracks.
     """
 
     calibration: Calibration
-    association: Association
+    association: Association | None
     residuals: Residuals
     targets: Mapping[int, str] = field(default_factory=dict)
     reference: tuple[str, ...] = ()
@@ -72,6 +78,7 @@ class Run:
     evidence: Evidence | None = None
     frozen: Frozen | None = None
     heights: HeightProfile | None = None
+    samples: Mapping[int, Samples] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +102,12 @@ def calibrate(
     sensors: Sensors,
     *,
     model: str | Sequence[str] = "auto",
+    method: str | None = None,
+    options: Mapping[str, str] | None = None,
+    online: bool = False,
+    associate: str = "hough",
+    associate_options: Mapping[str, str] | None = None,
+    main: str = "",
     date: datetime.date | None = None,
     editions: Mapping[int, str] | None = None,
     criterion: Criterion = "cross-validation",
@@ -106,40 +119,39 @@ def calibrate(
 ) -> Run:
     """Find the systematic errors of the radars in `plots` against the positions in `reference`.
 
-    With `out` (a folder), writes calibration.json, residuals.parquet, report.html and run.json there, each whole or not at all;
-    files of those names that were there are moved to ``earlier-1``, ``earlier-2`` …  With `requirement`, judges the radars by it
-    and writes conformity.json too.  The model "auto" is searched by `criterion`.  `truth` holds the true values of a simulated
-    scene: sensor name -> term -> value in its unit.
+    `method` is a name of `registration.methods.METHODS` (None: least squares), with its `options` as text; with `online` the
+    biases are followed over time.  `associate` is a name of `association.ASSOCIATIONS`, with options likewise.  The model "auto"
+    is searched by `criterion`, which is of least squares alone.
 
-    Raises InputError for files that cannot be used, SettingsError for sensors or terms that make no sense, NothingToDo where the
-    recordings do not overlap or nothing in them can be paired.
+    Without a reference (an empty list) the radars are compared with the `main` one (by default the first in `sensors` that has
+    plots), by a method that follows biases over time (None: the Kalman bank): the values are then relative
+    (`registration.sequential.register_relative`).
+
+    With `out` (a folder), writes calibration.json, residuals.parquet, report.html and run.json there, and biases.csv where the
+    errors are over time, each whole or not at all; files of those names that were there are moved to ``earlier-1``,
+    ``earlier-2`` …  With `requirement`, judges the radars by it and writes conformity.json too.  `truth` holds the true values of
+    a simulated scene: sensor name -> term -> value in its unit.
+
+    Raises InputError for files that cannot be used, SettingsError for sensors or options that make no sense, NothingToDo where
+    the recordings do not overlap or nothing in them can be paired.
     """
-    from .alignment import apply_time_offsets, locate, overlap
-    from .assessment.requirement import assess_requirement, check_requirement
+    from .alignment import apply_time_offsets
+    from .assessment.requirement import assess_requirement
     from .assessment.residuals import residuals
-    from .association import search
     from .frozen import Settings, freeze
-    from .heights import height_profile
-    from .measure import site_warnings
-    from .platform import platform_views
     from .reading.site import site_disagreements
-    from .registration import LeastSquares, register
     from .report import gather
-    from .terms import terms_of
     from .writing.sidecar import corrected_before
 
-    if not plots or not reference:
-        raise InputError("at least one recording of plots and one of reference positions are needed")
-    # What is wrong with the options is told before minutes are spent on the recordings.
-    if model != "auto":
-        terms_of(model)
-    if requirement is not None:
-        check_requirement(requirement)
-    if out is not None:
-        _check_folder(Path(out))
     settings = Settings(
         sensors=sensors,
         model=model if isinstance(model, str) else tuple(model),
+        method=method or ("least-squares" if reference else "kalman-bank"),
+        options=dict(options or {}),
+        online=online,
+        associate=associate,
+        associate_options=dict(associate_options or {}),
+        main=main,
         date=date,
         editions=dict(editions or {}),
         criterion=criterion,
@@ -147,6 +159,11 @@ def calibrate(
         title=title,
         requirement=requirement,
     )
+    way = _way(settings, relative=not reference)
+    if not plots:
+        raise InputError("at least one recording of plots is needed")
+    if out is not None:
+        _check_folder(Path(out))
     warnings: list[str] = []
     plots, reference = _once(plots, warnings), _once(reference, warnings)
     recordings = _read_all([*plots, *reference], editions, date, warnings, progress)
@@ -154,6 +171,150 @@ def calibrate(
     warnings += [text for path in plots for file in _files_of(path) for text in corrected_before(file)]
     measured = _with_known_sensor(Plots.concat([r.plots for r in radar]), sensors, radar, warnings)
     warnings += site_disagreements([s for r in radar for s in r.sources], sensors)
+    # Only the report asks for it, so that it is gathered while the steps go on.
+    aside = ThreadPoolExecutor(1)
+    evidence = aside.submit(gather, measured, radar, sensors) if out is not None else None
+    aside.shutdown(wait=False)
+    measured = apply_time_offsets(measured, sensors)
+    if reference:
+        step = _against_reference(measured, trusted, radar, settings, way, warnings, progress)
+    else:
+        step = _against_main(measured, settings, way, warnings, progress)
+    found = replace(
+        step.found,
+        inputs=tuple(_input(file) for path in [*plots, *reference] for file in _files_of(path)),
+        warnings=tuple(dict.fromkeys([*warnings, *step.found.warnings])),
+        version=__version__,
+    )
+    left = residuals(step.pairs, step.sensors, found)
+    conformity = () if requirement is None else assess_requirement(found, left, step.sensors, requirement)
+    if requirement is not None and not conformity:
+        said = (f"{requirement.title} has no figure for the kinds of these sensors",)
+        found = replace(found, warnings=(*found.warnings, *said))
+    run = Run(
+        found,
+        step.association,
+        left,
+        targets=step.targets,
+        reference=tuple(str(file) for path in reference for file in _files_of(path)),
+        truth=_truth_rows(found, truth or {}),
+        evidence=evidence.result() if evidence is not None else None,
+        heights=step.heights,
+        conformity=conformity,
+        frozen=freeze(plots, reference, settings, found.inputs),
+        samples=step.samples,
+    )
+    if out is not None:
+        progress("writing the report")
+        write_results(run, step.sensors, Path(out), title=title)
+    return run
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """How a run goes about it: the method and the association, and without a reference what follows which biases."""
+
+    method: Method
+    association: AssociationSettings
+    follows: Online | None = None
+    terms: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """What registration leaves to the steps after it; `sensors` are those whose platforms stand still."""
+
+    found: Calibration
+    pairs: Pairs
+    sensors: Sensors
+    targets: Mapping[int, str]
+    association: Association | None = None
+    heights: HeightProfile | None = None
+    samples: Mapping[int, Samples] = field(default_factory=dict)
+
+
+def _way(settings: Settings, *, relative: bool) -> _Way:
+    """Raise SettingsError for options that make no sense, before minutes are spent on the recordings."""
+    from .assessment.requirement import check_requirement
+    from .association import association_of
+    from .registration.methods import METHODS, OnlineMethod, method_of, register_with
+    from .registration.per_channel import PerChannel, register_per_channel
+
+    options = dict(settings.options)
+    if settings.method == "least-squares":
+        options.setdefault("criterion", settings.criterion)
+    elif settings.criterion != "cross-validation":
+        raise SettingsError(f"the method {settings.method} searches no model", where="--select", remedy="Leave it out.")
+    method = method_of(settings.method, options)
+    association = association_of(settings.associate, settings.associate_options)
+    if settings.requirement is not None:
+        check_requirement(settings.requirement)
+    if not relative:
+        if settings.main:
+            raise SettingsError("there is a reference, by which every radar is judged", where="--main", remedy="Leave it out.")
+        # Without pairs a method only looks at what it is asked for.
+        with contextlib.suppress(NothingToDo):
+            if isinstance(method, PerChannel) and isinstance(settings.model, str) and not settings.online:
+                register_per_channel(Pairs(), settings.sensors, model=settings.model, settings=method)
+            register_with(method, Pairs(), settings.sensors, model=settings.model, online=settings.online)
+        return _Way(method, association)
+    if not isinstance(method, OnlineMethod):
+        known = ", ".join(name for name, one in METHODS.items() if isinstance(one, OnlineMethod))
+        raise SettingsError(
+            f"the method {settings.method} needs a reference", where="--method", remedy=f"Give --reference, or one of {known}."
+        )
+    if settings.requirement is not None:
+        raise SettingsError(
+            "radars compared with each other tell nothing of what is required of one",
+            where="--requirement",
+            remedy="Give --reference.",
+        )
+    names = [s.name for s in settings.sensors]
+    if settings.main and settings.main not in names:
+        raise SettingsError(
+            f"there is no sensor {settings.main!r}", where="--main", remedy=f"sensors.toml has: {', '.join(names)}."
+        )
+    return _Way(method, association, method, _relative_terms(settings.model))
+
+
+def _relative_terms(model: str | Sequence[str]) -> tuple[str, ...]:
+    """The biases that are asked for where radars are compared with each other.  Raises SettingsError for anything else."""
+    from .registration.sequential import BIASES
+    from .terms import terms_of
+
+    if model in ("auto", "constant"):
+        return BIASES
+    names = tuple(term.name for term in terms_of(model))
+    wrong = [name for name in names if name not in BIASES]
+    if wrong:
+        raise SettingsError(
+            f"without a reference only differences of {', '.join(BIASES)} can be told, not {', '.join(wrong)}: what radars have "
+            "in common leaves no trace in what they differ by",
+            where="--model",
+            remedy="Give --reference, or leave the model out.",
+        )
+    return names
+
+
+def _against_reference(
+    measured: Plots,
+    trusted: Sequence[Recording],
+    radar: Sequence[Recording],
+    settings: Settings,
+    way: _Way,
+    warnings: list[str],
+    progress: Progress,
+) -> _Step:
+    """Align, associate and register against the positions in the recordings `trusted`."""
+    from .alignment import apply_time_offsets, locate, overlap
+    from .association import search
+    from .heights import height_profile
+    from .measure import site_warnings
+    from .platform import platform_views
+    from .registration.methods import register_with
+    from .registration.sequential import online_samples
+
+    sensors = settings.sensors
     fixes = _others(trusted, measured, warnings)
     if not len(fixes):
         raise NothingToDo(
@@ -161,11 +322,7 @@ def calibrate(
         )
     progress("aligning the reference")
     sources: tuple[Source, ...] = tuple(s for r in trusted for s in r.sources)
-    # Only the report asks for it, so that it is gathered while the steps go on.
-    aside = ThreadPoolExecutor(1)
-    evidence = aside.submit(gather, measured, radar, sensors) if out is not None else None
-    aside.shutdown(wait=False)
-    measured, fixes = apply_time_offsets(measured, sensors), apply_time_offsets(fixes, sensors)
+    fixes = apply_time_offsets(fixes, sensors)
     heights = height_profile(fixes, sensors)
     fixes, said = locate(fixes, sensors, sources, heights=heights)
     warnings += said
@@ -175,37 +332,54 @@ def calibrate(
     check = overlap(measured, fixes)
     warnings += [check.message] if check.message else []
     progress("associating plots and targets")
-    association = search(measured, fixes, sensors, views=views)
+    association = search(measured, fixes, sensors, way.association, views=views)
     warnings += association.warnings
     progress("estimating the errors")
-    found = register(association.pairs, sensors, model=model, settings=LeastSquares(criterion=criterion))
-    found = replace(
-        found,
-        inputs=tuple(_input(file) for path in [*plots, *reference] for file in _files_of(path)),
-        warnings=tuple(dict.fromkeys([*warnings, *found.warnings])),
-        version=__version__,
-    )
-    left = residuals(association.pairs, sensors, found)
-    conformity = () if requirement is None else assess_requirement(found, left, sensors, requirement)
-    if requirement is not None and not conformity:
-        said = (f"{requirement.title} has no figure for the kinds of these sensors",)
-        found = replace(found, warnings=(*found.warnings, *said))
-    run = Run(
-        found,
-        association,
-        left,
-        targets=_target_names(fixes, association.pairs.target),
-        reference=tuple(str(file) for path in reference for file in _files_of(path)),
-        truth=_truth_rows(found, truth or {}),
-        evidence=evidence.result() if evidence is not None else None,
-        heights=heights,
-        conformity=conformity,
-        frozen=freeze(plots, reference, settings, found.inputs),
-    )
-    if out is not None:
-        progress("writing the report")
-        write_results(run, sensors, Path(out), title=title)
-    return run
+    pairs = association.pairs
+    found = register_with(way.method, pairs, sensors, model=settings.model, online=settings.online)
+    samples = online_samples(pairs, sensors, beside=found) if len(found.epoch_s) > 1 else {}
+    return _Step(found, pairs, sensors, _target_names(fixes, pairs.target), association, heights, samples)
+
+
+def _against_main(measured: Plots, settings: Settings, way: _Way, warnings: list[str], progress: Progress) -> _Step:
+    """Register radars against a main one: what they see in common, its differences, and these over time."""
+    from .association.radars import pairs_against, shared_targets
+    from .measure import site_warnings
+    from .registration.mean_shift import relative_samples
+    from .registration.sequential import register_relative
+
+    sensors = settings.sensors
+    main = _main_of(measured, settings, warnings)
+    warnings += site_warnings(measured, sensors, positions=False)
+    progress("associating the radars' plots")
+    a = way.association
+    shared = shared_targets(measured, sensors, main, a)
+    warnings += shared.said
+    progress("estimating the errors")
+    window = (a.range_window_m or 5e3, math.radians(a.azimuth_window_deg or 10.0), math.radians(10.0))
+    samples = relative_samples(
+        measured, sensors, main, target=shared.target, gap_s=a.reference_gap_s or max(15.0, 1.5 * (main.scan_s or 0.0)),
+        window=window,
+    )  # fmt: skip
+    found = register_relative(samples, sensors, main, method=way.follows, terms=way.terms)
+    pairs = pairs_against(measured, sensors, main, shared.target)
+    names = {}
+    if shared.by == "identity":
+        names = {k: f"{k:06X}" if k <= 0xFFFFFF else str(k) for k in set(pairs.target.tolist())}
+    return _Step(found, pairs, sensors, names, samples=samples)
+
+
+def _main_of(measured: Plots, settings: Settings, warnings: list[str]) -> Sensor:
+    """The radar that the others are compared with: the one that is named, else the first of sensors.toml that has plots."""
+    there = set(measured.sensor.tolist())
+    if settings.main:
+        return next(s for s in settings.sensors if s.name == settings.main)
+    main = next(s for s in settings.sensors if s.key in there)
+    if len(there) > 1:
+        warnings.append(
+            f"there is no reference: all errors are relative to {main.name}, the first in sensors.toml (--main names another)"
+        )
+    return main
 
 
 def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> None:
@@ -239,6 +413,7 @@ def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> 
                 evidence=run.evidence,
                 conformity=run.conformity,
                 heights=run.heights,
+                samples=run.samples,
             )
             data.result()
             if run.frozen is not None:
@@ -257,7 +432,7 @@ def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> 
 
 
 def _write_data(run: Run, folder: Path) -> None:
-    """Write what programs read of a run: calibration.json, residuals.parquet, and conformity.json where there is a verdict."""
+    """Write what programs read of a run: calibration.json, residuals.parquet; conformity.json, biases.csv where there are."""
     from .assessment.requirement import save_conformity
     from .calibration import save_calibration
     from .writing.tables import write_table
@@ -266,6 +441,31 @@ def _write_data(run: Run, folder: Path) -> None:
     write_table(folder / "residuals.parquet", _with_names(run))
     if run.conformity:
         save_conformity(run.conformity, folder / "conformity.json")
+    if len(run.calibration.epoch_s) > 1:
+        write_table(folder / "biases.csv", _over_time(run.calibration))
+
+
+def _over_time(found: Calibration) -> dict[str, AnyArray]:
+    """Every error at every epoch, a row each: time, sensor, term, value, sd and unit."""
+    import numpy as np
+
+    from .calibration import si_per_unit
+
+    names = {s.sensor: s.name for s in found.sensors}
+    k, p = found.value.shape
+    scale = np.array([si_per_unit(key) for key in found.terms])
+
+    def each(words: list[str]) -> AnyArray:
+        return np.repeat(np.array(words, object), k)
+
+    return {
+        "time_s": np.tile(found.epoch_s, p),
+        "sensor": each([names[key.sensor] for key in found.terms]),
+        "term": each([key.name if key.channel == "all" else f"{key.name}@{key.channel}" for key in found.terms]),
+        "value": (found.value / scale).T.ravel(),
+        "sd": (found.sd / scale).T.ravel(),
+        "unit": each([key.unit for key in found.terms]),
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,6 +502,12 @@ def verify(folder: str | Path, *, inputs: str | Path | None = None, progress: Pr
         reference,
         settings.sensors,
         model=settings.model,
+        method=settings.method,
+        options=settings.options,
+        online=settings.online,
+        associate=settings.associate,
+        associate_options=settings.associate_options,
+        main=settings.main,
         date=settings.date,
         editions=settings.editions,
         criterion=settings.criterion,
@@ -362,9 +568,13 @@ def correct_files(
     if any(out.resolve() == p.resolve() for p in given):
         raise SettingsError(f"{out} is one of the inputs, which are never written to", where="--out")
     check_place(out)
+    if Path(calibration).is_dir():
+        calibration = Path(calibration) / "calibration.json"
     found = load_calibration(calibration)
     chosen(found, terms)
     warnings: list[str] = []
+    if main := found.settings.get("main"):
+        warnings.append(f"the calibration is relative to {main}: corrected plots agree with it, right or wrong")
     plots = _once(plots, warnings)
     files = [file for path in plots for file in _files_of(path)]
     for file in files:
@@ -404,6 +614,7 @@ def correct_files(
             f"the fixed time offset of {place} in sensors.toml ({offset:g} s) is taken from the stamps too: with the corrected "
             "recording it must not stand there"
         )
+    warnings += _span_of_time(measured, found, calibration)
     progress("correcting")
     clean, said = correct_and_say(measured, found, sensors=known, terms=terms)
     progress(f"writing {out}")
@@ -440,6 +651,29 @@ def correct_files(
     return Corrected(len(clean), provenance, sidecar_of(out), encoded, tuple([*warnings, *said]))
 
 
+def _span_of_time(plots: Plots, found: Calibration, path: str | Path) -> list[str]:
+    """What is to be said of plots beyond the epochs of errors over time.  Raises InputError where all come before the first."""
+    import numpy as np
+
+    if len(found.epoch_s) < 2:
+        return []
+    own = np.isin(plots.sensor, [key.sensor for key in found.terms]) & np.isfinite(plots.time_s)
+    early, late = own & (plots.time_s < found.epoch_s[0]), own & (plots.time_s > found.epoch_s[-1])
+    first, last = (f"{datetime.datetime.fromtimestamp(float(t), datetime.UTC):%Y-%m-%d %H:%M:%S}" for t in found.epoch_s[[0, -1]])
+    if early.any() and early.sum() == own.sum():
+        when = datetime.datetime.fromtimestamp(float(plots.time_s[early].max()), datetime.UTC)
+        raise InputError(
+            f"its errors over time begin at {first} UTC, and all plots are before: the last is of {when:%Y-%m-%d %H:%M:%S}",
+            path=path,
+            remedy="--date gives the day of a recording that does not tell it.",
+        )
+    said = []
+    for rows, what, epoch in ((early, "before the first", first), (late, "after the last", last)):
+        if rows.any():
+            said.append(f"{int(rows.sum()):,} plots are {what} epoch of the calibration: they get the values of {epoch} UTC")
+    return said
+
+
 def _is_table(plots: Sequence[str | Path], out: Path) -> bool:
     """Whether `out` is to be a table; raises SettingsError where it can be neither that nor a recording of ASTERIX."""
     from .reading import is_asterix
@@ -447,15 +681,19 @@ def _is_table(plots: Sequence[str | Path], out: Path) -> bool:
     ending = out.suffix.lower()
     if ending in (".parquet", ".csv"):
         return True
-    what = f"{out} ends neither in .parquet nor in .csv"
+    what = f"{out}: the ending {ending} cannot be written" if ending else f"{out} has no ending"
+    table = "Name it .parquet or .csv for a table of the plots"
     if len({Path(p).resolve() for p in plots}) != 1:
-        raise SettingsError(f"{what}, and only a single recording can be written again as ASTERIX", where="--out")
+        raise SettingsError(what, where="--out", remedy=f"{table}; only a single recording can be written again as ASTERIX.")
     own = Path(plots[0]).suffix
+    if not Path(plots[0]).is_file() or not is_asterix(plots[0]):
+        # What is no recording at all is told by who reads it.
+        if Path(plots[0]).is_file() or Path(plots[0]).is_dir():
+            raise SettingsError(what, where="--out", remedy=f"{table}; {plots[0]} is no ASTERIX, which could be written again.")
+        return False
     if ending not in (own.lower(), ".ast"):
-        remedy = f"A recording of ASTERIX is written again as {own or '.ast'} or .ast."
-        raise SettingsError(what, where="--out", remedy=remedy)
-    if not is_asterix(plots[0]):
-        raise SettingsError(f"{what}, and {plots[0]} is no ASTERIX", where="--out")
+        endings = " or ".join(dict.fromkeys([own or ".ast", ".ast"]))
+        raise SettingsError(what, where="--out", remedy=f"{table}, or {endings} for the ASTERIX recording again.")
     return False
 
 
@@ -467,19 +705,40 @@ def demo(out: str | Path, *, seed: int = 1, progress: Progress = _silent) -> Run
         raise SettingsError(f"{seed} is no seed", where="--seed", remedy="Give 0 or more.")
     progress("simulating three radars, 60 aircraft and 20 ships")
     folder = Path(out)
-    _keep_earlier(folder, _RESULTS + tuple(p.name for p in demo_files(folder)))
-    files = write_demo(folder, seed)
-    return calibrate(
-        files.plots,
-        files.reference,
-        load_sensors(files.sensors),
-        date=files.date,
-        editions={21: "2.4"},
-        out=folder,
-        truth=files.truth,
-        title="Demonstration: simulated radars with known errors",
-        progress=progress,
-    )
+    _check_folder(folder)
+    made = _missing_folders(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    names = [p.name for p in demo_files(folder)]
+    earlier: Path | None = None
+    placed: list[Path] = []
+    try:
+        with tempfile.TemporaryDirectory(prefix=".boresight-", dir=folder) as part:
+            files = write_demo(part, seed)
+            earlier = _keep_earlier(folder, (*_RESULTS, *names))
+            for name in names:
+                (Path(part) / name).rename(folder / name)
+                placed.append(folder / name)
+        return calibrate(
+            [folder / p.name for p in files.plots],
+            [folder / p.name for p in files.reference],
+            load_sensors(folder / files.sensors.name),
+            date=files.date,
+            editions={21: "2.4"},
+            out=folder,
+            truth=files.truth,
+            title="Demonstration: simulated radars with known errors",
+            progress=progress,
+        )
+    except BaseException:
+        # What came of it is nothing without the report; what was there before is there again.
+        for path in placed:
+            path.unlink(missing_ok=True)
+        if earlier is not None:
+            for path in earlier.iterdir():
+                path.rename(folder / path.name)
+            earlier.rmdir()
+        _remove_empty(made)
+        raise
 
 
 def _read_all(
@@ -626,14 +885,20 @@ def _truth_rows(found: Calibration, truth: Mapping[str, Mapping[str, float]]) ->
 
     names = {s.sensor: s.name for s in found.sensors}
     rows: dict[str, tuple[TruthRow, ...]] = {}
+    main = truth.get(str(found.settings.get("main", "")), {})
     for sensor, terms in truth.items():
         filled = []
+        if "main" in found.settings:
+            # Of what a radar has beyond its biases the differences tell nothing.
+            terms = {name: true - main.get(name, 0.0) for name, true in terms.items() if name in _BIASES}
+            if sensor not in names.values():
+                continue
         for term, true in terms.items():
             value = sd = float("nan")
             kind = term_of(term)
             for k, key in enumerate(found.terms):
                 if (names[key.sensor], key.channel, key.name) == (sensor, kind.channel, kind.base):
-                    value, sd = float(found.value[0, k] / kind.si_per_unit), float(found.sd[0, k] / kind.si_per_unit)
+                    value, sd = float(found.value[-1, k] / kind.si_per_unit), float(found.sd[-1, k] / kind.si_per_unit)
             filled.append(TruthRow(term, true, value, sd, kind.unit))
         rows[sensor] = tuple(filled)
     return rows
@@ -668,8 +933,8 @@ def _check_folder(folder: Path) -> None:
         _remove_empty(made)
 
 
-def _keep_earlier(folder: Path, names: Sequence[str]) -> None:
-    """Move files of these names into the first free ``earlier-N``, so that no result is ever lost."""
+def _keep_earlier(folder: Path, names: Sequence[str]) -> Path | None:
+    """Move files of these names into the first free ``earlier-N``, so that no result is ever lost; returns where they went."""
     there = [folder / name for name in names if (folder / name).exists()]
     if there:
         number = 1
@@ -679,3 +944,5 @@ def _keep_earlier(folder: Path, names: Sequence[str]) -> None:
         kept.mkdir()
         for path in there:
             path.rename(kept / path.name)
+        return kept
+    return None

@@ -32,7 +32,7 @@ FILE = "run.json"
 # The files that a rerun must give again.  The report is made of them.
 MADE = ("calibration.json", "residuals.parquet")
 # What is handed on is made of them; it must be as it was written.
-HANDED = ("report.html", "conformity.json")
+HANDED = ("report.html", "conformity.json", "biases.csv")
 # Beyond the same versions on the same kind of machine sums are added up in another order: what still counts as the same.
 OF_SD, OF_SPREAD = 1e-3, 1e-3
 
@@ -57,6 +57,12 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     title: str
     requirement: Requirement | None
     criterion: Criterion = "cross-validation"
+    method: str = "least-squares"
+    options: dict[str, str] = {}
+    online: bool = False
+    associate: str = "hough"
+    associate_options: dict[str, str] = {}
+    main: str = ""
 
 
 class Frozen(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -46,7 +46,7 @@ def test_help_and_version() -> None:
 def test_unknown_command_and_option(sensors: Path) -> None:
     assert "calibarte" in mistake("calibarte")
     assert "--referenze" in mistake("calibrate", "a.ast", "--referenze", "b.ast", "--sensors", sensors)
-    assert "--reference" in mistake("calibrate", "a.ast", "--sensors", sensors)
+    assert "--sensors" in mistake("calibrate", "a.ast", "--reference", "b.ast")
 
 
 def test_missing_empty_and_wrong_files(tmp_path: Path, sensors: Path) -> None:

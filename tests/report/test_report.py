@@ -280,13 +280,13 @@ def test_lengths_in_captions(metres: float, text: str) -> None:
     assert length_text(metres) == text
 
 
-def test_every_setting_of_the_estimate_is_explained() -> None:
-    from msgspec.structs import asdict
+def test_every_method_and_every_setting_of_it_is_explained() -> None:
+    from boresight.registration.methods import METHODS, options_of
+    from boresight.report.page import _SETTINGS, METHODS_ABOUT
 
-    from boresight.registration import LeastSquares
-    from boresight.report.page import _SETTINGS
-
-    assert set(_SETTINGS) == {"method", *asdict(LeastSquares())}
+    options = {name.rpartition(".")[2] for method in METHODS.values() for name in options_of(method)}
+    assert set(_SETTINGS) == {"method", "kind", "main", "online", *options}
+    assert set(METHODS_ABOUT) == set(METHODS)
 
 
 def test_verdict_says_direction_and_what_is_not_distinguishable(scene: Scene) -> None:

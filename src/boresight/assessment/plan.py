@@ -21,7 +21,7 @@ import numpy as np
 
 from .._types import AnyArray, FloatArray, IntArray
 from ..calibration import Calibration, Effect, Summary, TermKey
-from ..errors import SettingsError
+from ..errors import NothingToDo, SettingsError
 from ..measure import enu_from_polar, polar_motion
 from ..registration import mixed
 from ..registration.least_squares import _AIR as AIR
@@ -234,8 +234,14 @@ def plan(
     advised.  `sensor` is its name, needed where there are several.  With `alone`, the new recording is to do it by itself (the
     radar has been adjusted since), else together with the one at hand.
 
-    Raises SettingsError for unknown sensors and terms, for an sd that is not positive, and where nothing is wanted.
+    Raises SettingsError for unknown sensors and terms, for an sd that is not positive, and where nothing is wanted; NothingToDo
+    for a calibration over time.
     """
+    if len(calibration.epoch_s) > 1:
+        raise NothingToDo(
+            "how well errors that change with time are known depends on how fast they change, not on how much is recorded",
+            remedy="Calibrate without --online to plan a recording.",
+        )
     s = _sensor(calibration, sensor)
     goals = _wishes(wanted)
     keys = [(k, key) for k, key in enumerate(calibration.terms) if key.sensor == s.sensor]

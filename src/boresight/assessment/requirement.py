@@ -244,9 +244,18 @@ def assess_requirement(
     """Judge every sensor of a calibration by the figures of a requirement that are about its kind.
 
     Biases are those of the radar as recorded, with the intervals of the calibration (`Calibration.interval`; of a calibration
-    over time, at its last epoch).  Noise is net of the reference's; what is taken from the pairs holds the reference's errors.
+    over time, where they are largest).  Noise is net of the reference's; what is taken from the pairs holds the reference's
+    errors.
     `residuals` and `sensors` may be missing: then what needs them is undecided.
+
+    Raises SettingsError for a calibration that is relative to another radar: it says nothing of what is required.
     """
+    if calibration.settings.get("main"):
+        raise SettingsError(
+            f"the calibration is relative to {calibration.settings['main']}, and a requirement is on the errors themselves",
+            where="requirement",
+            remedy="Calibrate against a reference (--reference).",
+        )
     kinds = {s.key: s.kind for s in sensors or ()}
     out = []
     for summary in calibration.sensors:
@@ -347,15 +356,23 @@ def _term(calibration: Calibration, s: Summary, figure: Figure, share: float) ->
             continue
         # A channel's own error comes on top of what all share.
         parts = [*shared, *([] if own is None else [own])]
-        value = float(calibration.value[-1, parts].sum())
-        sd = math.sqrt(max(float(calibration.covariance[-1][np.ix_(parts, parts)].sum()), 0.0))
+        spread = np.sqrt(np.maximum(calibration.covariance[:, parts][:, :, parts].sum(axis=(1, 2)), 0.0))
+        at = _worst(calibration.value[:, parts].sum(axis=1), spread)
+        value, sd = float(calibration.value[at, parts].sum()), float(spread[at])
         wide = sd * float(half[parts[0]] / calibration.sd[-1, parts[0]]) if sd > 0 else 0.0
+        label += " (its largest over time)" if len(spread) > 1 else ""
         out.append(_Measured(label, value, value - wide, value + wide))
     if out:
         return out
     why = next((n.why for n in calibration.not_determined if n.sensor == s.sensor and n.term == figure.quantity), None)
     why = f"not determined: {why}" if why else f"the model ({s.model}) has no {figure.quantity}"
     return (_Measured(figure.quantity, why=why),)
+
+
+def _worst(value: FloatArray, sd: FloatArray) -> int:
+    """The epoch (of k) at which an error is largest, of those at which it is about as well known as it usually is."""
+    known = np.flatnonzero(sd <= 2 * np.median(sd))
+    return int(known[np.abs(value[known]).argmax()])
 
 
 def _noise(s: Summary, mine: Residuals, name: str, confidence: float) -> _Measured:

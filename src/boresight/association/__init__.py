@@ -391,7 +391,7 @@ def _decide(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names, bi
 def _by_clusters(scene: Scene, tracks: tracklets.Tracklets, method: TrackMatch) -> tuple[CoarseBias, Decision, AnyArray]:
     """The target of each tracklet by K-medoids, from biases of zero.  Raises NothingToDo where no track finds its target.
 
-    The reference is taken once a scan, at its middle.  Points are compared in space where the radar measures elevation, else in
+    Points are compared in space where the radar measures elevation, else in
     the plane of slant range and azimuth.
     """
     rows, number = tracks.order, tracks.member()
@@ -401,13 +401,14 @@ def _by_clusters(scene: Scene, tracks: tracklets.Tracklets, method: TrackMatch) 
             remedy="Associate by hough.",
         )
     plots, reference = scene.plots, scene.reference
-    begin, end = float(plots.time_s[rows].min()), float(plots.time_s[rows].max())
-    scan = begin + (np.arange(int((end - begin) / method.period_s) + 1) + 0.5) * method.period_s
-    which, at = np.nonzero((reference.start_s[:, None] <= scan) & (scan <= reference.end_s[:, None]))
-    state = alignment.states(reference.trajectories, which, scan[at])
-    here = state.valid
-    which, at = which[here], at[here]
-    enu = scene.local(state.position[here] - scene.site)
+    margin = 2 * method.period_s
+    use = reference.order
+    time = reference.fixes.time_s[use]
+    use = use[(time >= plots.time_s[rows].min() - margin) & (time <= plots.time_s[rows].max() + margin)]
+    which, time = reference.target[use], reference.fixes.time_s[use]
+    state = alignment.states(reference.trajectories, which, time)
+    use, which, time = use[state.valid], which[state.valid], time[state.valid]
+    enu = scene.local(state.position[state.valid] - scene.site)
     distance, azimuth, elevation = plots.range_m[rows], scene.azimuth_rad[rows], plots.elevation_rad[rows]
     solid = bool(np.isfinite(elevation).all())
     if solid:
@@ -418,11 +419,8 @@ def _by_clusters(scene: Scene, tracks: tracklets.Tracklets, method: TrackMatch) 
         own = np.stack([distance * np.sin(azimuth), distance * np.cos(azimuth), np.zeros(len(rows))], axis=1)
         slant = np.linalg.norm(enu, axis=1) / np.maximum(np.hypot(enu[:, 0], enu[:, 1]), 1.0)
         enu = np.stack([enu[:, 0] * slant, enu[:, 1] * slant, np.zeros(len(enu))], axis=1)
-        near = reference.nearest_fix(which, scan[at])
-        fresh = np.abs(reference.fixes.time_s[near] - scan[at]) < 15.0
-        own_height = plots.pressure_altitude_m[rows]
-        height = np.where(fresh, reference.fixes.pressure_altitude_m[near], np.nan)
-    matched = method(Traces(own, own_height, plots.time_s[rows], number), Traces(enu, height, scan[at], which))
+        own_height, height = plots.pressure_altitude_m[rows], reference.fixes.pressure_altitude_m[use]
+    matched = method(Traces(own, own_height, plots.time_s[rows], number), Traces(enu, height, time, which))
     target = np.full(len(tracks), -1, np.int64)
     target[matched.track] = matched.target
     found = int(np.count_nonzero(target >= 0))

@@ -252,8 +252,8 @@ def _refusal(
         f"{because}nothing agrees with the reference better than chance: within ±{searched} the best biases "
         f"explain {peak.score:.1f} of {looked_at} {what}, where spoilt clocks or north explain {chance:.1f}",
         remedy="Check the radar's position and both clocks; a known clock offset is given as time_offset_s in sensors.toml. "
-        "Errors that may be larger are searched farther with the association's range_window_m, azimuth_window_deg and "
-        "time_window_s.",
+        "Errors that may be larger are searched farther with --associate-option range_window_m=…, azimuth_window_deg=…, "
+        "time_window_s=….",
     )
 
 

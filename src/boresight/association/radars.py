@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import alignment
-from .._types import FloatArray, IntArray
+from .._types import IntArray
 from ..errors import NothingToDo, SettingsError
 from ..geodesy import geodetic_from_ecef
 from ..measure import plot_positions
@@ -127,18 +127,18 @@ def pairs_against(plots: Plots, sensors: Sensors, main: Sensor, target: IntArray
     rows = np.flatnonzero((plots.sensor != main.key) & np.isin(target, names) & np.isfinite(plots.time_s))
     which = np.searchsorted(names, target[rows])
     state = alignment.states(trajectories, as_numbered[which], plots.time_s[rows])
-    rows, state_rows = rows[state.valid], np.flatnonzero(state.valid)
-    length: FloatArray = plots.length_m[rows]
+    valid = np.flatnonzero(state.valid)
+    rows = rows[valid]
     return Pairs(
         plot=rows,
         plots=plots.take(rows),
         target=target[rows],
         track=target[rows],
-        position=state.position[state_rows],
-        velocity=state.velocity[state_rows],
-        acceleration=state.acceleration[state_rows],
-        covariance=state.covariance[state_rows],
-        heading_rad=state.heading_rad[state_rows],
-        length_m=length,
+        position=state.position[valid],
+        velocity=state.velocity[valid],
+        acceleration=state.acceleration[valid],
+        covariance=state.covariance[valid],
+        heading_rad=state.heading_rad[valid],
+        length_m=plots.length_m[rows],
         source=np.full(len(rows), main.key, np.int32),
     )

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import SettingsError
 from ..model import Sensor
-from .cluster import TrackMatch
+from .cluster import Traces, TrackMatch
 from .hough import Window
 
 
@@ -64,6 +64,9 @@ ASSOCIATIONS = ("hough", "k-medoids")
 """The ways of association, by the name that an option gives; the first is the default."""
 
 
+_ONE = Traces(np.zeros((1, 3)), np.zeros(1), np.zeros(1), np.zeros(1, np.int64))
+
+
 def association_of(name: str, options: Mapping[str, str]) -> AssociationSettings:
     """The settings that a name of `ASSOCIATIONS` and options as text give.
 
@@ -89,6 +92,8 @@ def association_of(name: str, options: Mapping[str, str]) -> AssociationSettings
         if isinstance(error.__cause__, SettingsError):
             raise error.__cause__ from None
         raise SettingsError(str(error).replace("$.", ""), where="associate-option", remedy="Example: gate_sd=8.") from None
+    # A method looks at its settings when it is called.
+    match(_ONE, _ONE)
     return msgspec.structs.replace(settings, matching=match)
 
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 Files = Annotated[list[Path], Parameter(consume_multiple=True, negative="")]
 Editions = Annotated[list[str], Parameter(name="--edition", consume_multiple=True, negative="")]
+Named = Annotated[list[str], Parameter(consume_multiple=True, negative="")]
 Date = Annotated[str | None, Parameter(name="--date")]
 Json = Annotated[bool, Parameter(name="--json", negative="")]
 
@@ -33,6 +34,20 @@ def editions_of(texts: Sequence[str] | None) -> dict[int, str]:
             )
         editions[int(category)] = edition.strip()
     return editions
+
+
+def named_values(texts: Sequence[str] | None, where: str) -> dict[str, str]:
+    """``["tau_s=20"]`` as ``{"tau_s": "20"}``; raises SettingsError with the form that is needed."""
+    values: dict[str, str] = {}
+    for text in texts or ():
+        name, equals, value = text.partition("=")
+        name, value = name.strip(), value.strip()
+        if not equals or not name or not value:
+            raise SettingsError(f"{text!r} is no name and its value", where=where, remedy=f"Example: {where} tau_s=20")
+        if name in values:
+            raise SettingsError(f"{name} is given twice", where=where, remedy="Give it once.")
+        values[name] = value
+    return values
 
 
 def date_of(text: str | None) -> datetime.date | None:

@@ -39,7 +39,7 @@ def correct(
     plots
         Recordings of the radars that were calibrated; one, where ASTERIX is written.
     calibration
-        calibration.json, as calibrate writes it.
+        calibration.json, as calibrate writes it, or the folder that holds it.
     out
         File to write. The ending .parquet or .csv makes a table; that of PLOTS, or .ast, writes the ASTERIX recording again.
     terms
@@ -60,6 +60,8 @@ def correct(
 
     if any(out.resolve() == p.resolve() for p in [*plots, calibration]):
         raise SettingsError(f"{out} is one of the inputs, which are never written to", where="--out")
+    if out.is_dir():
+        raise SettingsError(f"{out} is a folder", where="--out", remedy="Name a file to write.")
     for path in (out, sidecar_of(out)):
         if path.exists() and not overwrite:
             raise SettingsError(f"{path} exists", where="--out", remedy="Name another file, or add --overwrite.")

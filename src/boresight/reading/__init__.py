@@ -99,6 +99,8 @@ def _head(path: str | Path) -> bytes:
     try:
         with open(path, "rb") as file:
             head = file.read(_HEAD)
+    except IsADirectoryError as error:
+        raise InputError("is a folder, not a recording", path=path, remedy="Name the files in it.") from error
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror or error})", path=path) from error
     for begin, what, how in _PACKED:

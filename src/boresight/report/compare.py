@@ -96,8 +96,15 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
 def compare(first: Calibration, second: Calibration, names: tuple[str, str] = ("first", "second")) -> Comparison:
     """Compare two calibrations, each at its newest epoch.
 
-    Raises NothingToDo where they have no sensor in common.
+    Raises NothingToDo where they have no sensor in common, and where one is relative to a radar that the other is not relative
+    to.
     """
+    to = [str(c.settings.get("main", "")) for c in (first, second)]
+    if to[0] != to[1]:
+        said = " and ".join(f"{name} is {f'relative to {m}' if m else 'absolute'}" for name, m in zip(names, to, strict=True))
+        raise NothingToDo(
+            f"{said}: their values cannot be compared", remedy="Compare calibrations against one reference, or one main radar."
+        )
     summaries = {s.sensor: s for s in first.sensors}
     sensors = [s for s in second.sensors if s.sensor in summaries]
     if not sensors:

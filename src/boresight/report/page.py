@@ -19,6 +19,7 @@ from .._types import FloatArray
 from ..terms import TERMS, Geometry, Whose, table_of, term_of, touches
 from . import charts, figures
 from .drawing import MAX_PAIRS, Drawing, group_quantiles, sample, term_label
+from .over_time import bias_figure
 
 if TYPE_CHECKING:
     from ..assessment.requirement import Conformity
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from ..calibration import Calibration, Summary, TermKey, Verdict
     from ..heights import HeightProfile
     from ..model import Sensors
+    from ..registration.mean_shift import Samples
     from .evidence import Clock, Evidence
 
 _MINUS = "\u2212"
@@ -55,6 +57,15 @@ _WORDS: dict[str, tuple[str, str]] = {
         "leans so that elevations in the north are {} too low",
     ),
     "tilt_east": ("leans so that elevations in the east are {} too high", "leans so that elevations in the east are {} too low"),
+    "rotation_up": ("turns the picture {} anticlockwise", "turns the picture {} clockwise"),
+    "rotation_east": (
+        "turns the picture {} about the east axis (up in the north)",
+        "turns the picture {} about the east axis (down in the north)",
+    ),
+    "rotation_north": (
+        "turns the picture {} about the north axis (down in the east)",
+        "turns the picture {} about the north axis (up in the east)",
+    ),
 }
 
 # Why a plot took no part, in words that need no knowledge of the program.
@@ -84,6 +95,23 @@ _KINDS = {
     "system": "system tracks",
 }
 
+# What each method of registration is, for who is handed the report.
+METHODS_ABOUT = {
+    "least-squares": "the values of all errors together that leave the least of the plots' differences from the reference, with "
+    "outliers held down.",
+    "per-channel": "range, azimuth and elevation each by itself, with a linear model of up to the second order.",
+    "maximum-likelihood": "one constant error of each axis, and a noise, that make the differences from the reference likeliest.",
+    "kalman-transform": "a matrix that turns, shifts and stretches the picture onto the reference, followed by a Kalman filter.",
+    "ransac-icp": "one turn and one shift of the whole picture: random samples give a start, and closest points refine it.",
+    "genetic": "one turn and one shift of the whole picture, the best of many generations bred from those of single tracks.",
+    "kalman-bank": "biases followed over time by a bank of Kalman filters, each with a memory of its own, mixed by how well they "
+    "predict.",
+    "igmsr": "biases followed over time as the place where the differences gather most, the newer ones counting more.",
+    "mean-shift": "biases as the place where the differences gather most, over all that has been seen so far.",
+    "alpha-beta": "biases followed over time by a filter of fixed gains, the simplest one there is.",
+    "exponential-average": "biases over time as averages of the differences, the newer ones counting more.",
+}
+
 # What the settings of an estimate mean, for who is handed the report.
 _SETTINGS = {
     "method": "how the errors were estimated",
@@ -97,6 +125,40 @@ _SETTINGS = {
     "agreement": "probability below which the weights of a target's plots count as wrong, and every plot counts for itself",
     "criterion": "by what the terms of a model are chosen where none is given",
     "max_iterations": "steps that the estimate may take",
+    "kind": "what the values are",
+    "online": "biases were followed over time",
+    "select": "by what the order of each channel is chosen",
+    "gate_sd": "a pair further off than so many standard deviations takes no part",
+    "iterations": "random samples that were tried",
+    "distance_m": "a pair further apart than this after a trial does not support it",
+    "inlier_share": "share of supporting pairs at which trials end",
+    "pairing": "what is paired: positions at one time, or those that are nearest",
+    "max_refinements": "refinements that the start may get",
+    "population": "transforms in a generation",
+    "generations": "generations that may be bred",
+    "seed": "where random choices begin: the same seed gives the same result",
+    "memory_s": "how far back is remembered, seconds",
+    "members": "filters in the bank, from the fastest to the slowest",
+    "judged_s": "filters are mixed by how well they predicted over so many seconds",
+    "huber": "a difference beyond so many standard deviations counts by its sign",
+    "reject": "a difference beyond so many standard deviations does not count",
+    "streak": "so many on one side are taken for a step",
+    "tau_s": "a difference this many seconds old counts for a third (1/e)",
+    "model": "the order of the models, or that of range, azimuth and elevation",
+    "jerk": "lags with the third derivatives are in the models",
+    "parallax": "a shift of the antenna is in the models",
+    "tolerance": "a column of which less than this share is left beside the others is dropped",
+    "ridge": "what is added to the normal equations, so that they can be solved",
+    "named_only": "only columns that are terms of a calibration take part",
+    "sd_m": "what one difference from the reference is taken to be known by",
+    "prior_sd_m": "what is assumed of the entries of the matrix beforehand",
+    "slot_s": "differences of so many seconds are taken as one",
+    "tracking_index": "how fast the bias is taken to change, against its noise: sets alpha and beta where they are 0",
+    "alpha": "share of a difference that goes into the bias",
+    "beta": "share of a difference that goes into its rate",
+    "bandwidth": "differences nearer than so many of their standard deviations gather",
+    "multi_start": "several starts are searched from, so that a crowd of outliers does not hold the search",
+    "main": "the radar that the others are compared with",
 }
 
 GLOSSARY: tuple[tuple[str, str], ...] = (
@@ -134,6 +196,7 @@ def write_report(
     evidence: Evidence | None = None,
     conformity: Sequence[Conformity] = (),
     heights: HeightProfile | None = None,
+    samples: Mapping[int, Samples] | None = None,
 ) -> Path:
     """Write the report of a calibration as one self-contained HTML file, and return its path.
 
@@ -141,13 +204,14 @@ def write_report(
     top of the calibration's own.  `association` gives the plots not used and the coarse biases.  `targets` names the targets
     (number -> address or callsign); `reference` are the paths among the inputs that are the reference.  `evidence` is what the
     recordings tell besides the pairs (`gather`), `conformity` the verdicts on requirements, `heights` what stood for unknown
-    heights.  The file is written beside and then renamed; the same arguments give the same bytes.
+    heights, `samples` the single differences that errors over time were found from, by sensor.  The file is written beside and
+    then renamed; the same arguments give the same bytes.
 
     Raises InputError where the file cannot be written.
     """
     text = render(
         calibration, residuals, sensors, title=title, truth=truth, warnings=warnings, association=association, targets=targets,
-        reference=reference, evidence=evidence, conformity=conformity, heights=heights,
+        reference=reference, evidence=evidence, conformity=conformity, heights=heights, samples=samples,
     )  # fmt: skip
     target = Path(path)
     write_text(target, text)
@@ -168,6 +232,7 @@ def render(
     evidence: Evidence | None = None,
     conformity: Sequence[Conformity] = (),
     heights: HeightProfile | None = None,
+    samples: Mapping[int, Samples] | None = None,
 ) -> str:
     """The report of `write_report` as text."""
     truth = truth or {}
@@ -184,6 +249,7 @@ def render(
             names,
             evidence,
             [c for c in conformity if c.sensor == summary.name],
+            (samples or {}).get(summary.sensor),
         )
         for summary in calibration.sensors
     ]
@@ -205,10 +271,15 @@ def render(
         inputs=[{"file": i, "role": "reference" if i.path in reference else "radar"} for i in calibration.inputs],
         roles=bool(reference),
         sites=_sites(calibration, sensors),
-        settings=[(name, _plain(value), _SETTINGS.get(name, "")) for name, value in calibration.settings.items()],
+        settings=[
+            (name, _plain(value), _SETTINGS.get(name.rpartition(".")[2], "")) for name, value in calibration.settings.items()
+        ],
         span=_time_span(residuals.time_s),
         glossary=GLOSSARY,
         epochs=len(calibration.epoch_s),
+        against=calibration.against,
+        relative=_relative(calibration),
+        method=_method(calibration),
         markup=Markup(),
     )
     return text
@@ -315,6 +386,7 @@ class Row:
     gain: str
     why: str
     table: str = ""
+    over: str = ""
 
 
 def brief(rows: Sequence[Row]) -> list[Row]:
@@ -369,6 +441,7 @@ def rows_of(calibration: Calibration, summary: Summary, truth: Mapping[str, floa
                 gain=_gain(advice) if advice else "",
                 why=advice.why if advice else "",
                 table=table_of(term_of(key.name)),
+                over=_span_text(calibration.value[:, k] / scale, calibration.sd[:, k] / scale, places),
             )
         )
     # Terms that were looked at and have no number.
@@ -383,6 +456,14 @@ def rows_of(calibration: Calibration, summary: Summary, truth: Mapping[str, floa
             )
         )  # fmt: skip
     return out
+
+
+def _span_text(values: FloatArray, sd: FloatArray, places: int) -> str:
+    """The least and the most of an error over time, where it is about as well known as usual; "" where it does not change."""
+    if not np.ptp(values) > 0:
+        return ""
+    known = values[sd <= 2 * np.median(sd)]
+    return f"{number(float(known.min()), places, sign=True)} … {number(float(known.max()), places, sign=True)}"
 
 
 def _gain(advice: Verdict) -> str:
@@ -435,10 +516,15 @@ def verdict(calibration: Calibration, summary: Summary) -> tuple[str, str]:
         size = float(np.hypot(*swing))
         worst = np.degrees(np.arctan2(swing[1], swing[0])) % 360
         wrong.append((0.0, f"swings by ±{number(size, 3)}° of azimuth in every turn (most clockwise at {number(worst, 0)}°)"))
+    main = calibration.settings.get("main")
+    parts = ["at the end of the recording"] if len(calibration.epoch_s) > 1 else []
+    parts += [f"compared with {main}"] if main else []
+    lead = ", ".join([*parts, summary.name])
+    lead = lead if not parts else lead[0].upper() + lead[1:]
     if wrong:
-        first = f"{summary.name} {_list([text for _, text in wrong])}."
+        first = f"{lead} {_list([text for _, text in wrong])}."
     else:
-        first = f"{summary.name} shows no error that these data can tell from zero."
+        first = f"{lead} shows no error that these data can tell from zero."
     second = f"Not distinguishable from zero (at 95 %): {_list(nothing)}." if nothing else ""
     return first, second
 
@@ -447,12 +533,28 @@ def _list(parts: Sequence[str]) -> str:
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
-def gain_text(summary: Summary) -> str:
+def _relative(calibration: Calibration) -> dict[str, Any] | None:
+    """What a report of radars without a reference says of itself: the main radar, and what of it could not be determined."""
+    main = calibration.settings.get("main")
+    if not main:
+        return None
+    known = {s.sensor for s in calibration.sensors}
+    missed = [n for n in calibration.not_determined if n.sensor not in known]
+    return {"main": main, "terms": [n.term for n in missed], "why": missed[0].why if missed else ""}
+
+
+def _method(calibration: Calibration) -> dict[str, str] | None:
+    """The name of the method, and what it is in a sentence; None for a calibration that does not tell."""
+    name = calibration.settings.get("method")
+    return {"name": name, "about": METHODS_ABOUT[name]} if isinstance(name, str) and name in METHODS_ABOUT else None
+
+
+def gain_text(summary: Summary, against: str = "the reference") -> str:
     """What correction does to the horizontal distance, in a sentence."""
     before, after = summary.before.median_m, summary.after.median_m
     if not (np.isfinite(before) and np.isfinite(after)):
         return ""
-    text = f"Corrected, half of its plots lie within {metres(after)} m of the reference instead of {metres(before)} m"
+    text = f"Corrected, half of its plots lie within {metres(after)} m of {against} instead of {metres(before)} m"
     held_before, held_after = summary.held_out_before_median_m, summary.held_out_after_median_m
     if np.isfinite(held_before) and np.isfinite(held_after):
         ratio = held_before / held_after if held_after > 0 else float("inf")
@@ -573,6 +675,7 @@ def _section(
     targets: Mapping[int, str],
     evidence: Evidence | None,
     conformity: Sequence[Conformity],
+    samples: Samples | None,
 ) -> dict[str, Any]:
     """Everything that the template needs of one sensor."""
     slug = f"sensor-{summary.sensor}"
@@ -582,6 +685,7 @@ def _section(
     def add(maker: Callable[[str], Drawing | None], kind: str) -> dict[str, Any] | None:
         return drawn.add(maker(f"{slug}-{kind}"))
 
+    over_time = add(partial(bias_figure, calibration, samples, summary.sensor), "over-time")
     advice = add(partial(charts.gain_figure, summary.verdicts), "gain")
     seen = tuple((_trimmed_rms(along), _trimmed_rms(across)) for along, across in _along_and_across(chosen))
     left = {cause: left_by_calibration(calibration, chosen, timing=cause == "timing") for cause in ("bias", "timing")}
@@ -629,7 +733,9 @@ def _section(
         "source": _source(summary.sensor),
         "verdict": first,
         "not_significant": second,
-        "gain": gain_text(summary),
+        "gain": gain_text(summary, calibration.against),
+        "over_time": over_time,
+        "changes": any(row.over for row in rows),
         "model": summary.model,
         "plots": summary.plots,
         "tracks": summary.tracks,
@@ -689,6 +795,7 @@ def unique_names(targets: Mapping[int, str]) -> dict[int, str]:
 _TELLS = re.compile(
     r"passed over|repeat (one|a position)|given twice|platform moves|in the order of|order of time|each carries its own sd"
     r"|read line by line|correction takes it out|platform's own is not known|the radar's own: not used|state vectors do not tell"
+    r"|there is no reference: all errors are relative"
 )
 
 
