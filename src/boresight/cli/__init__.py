@@ -21,6 +21,7 @@ from .correct import correct
 from .demo import demo
 from .info import info
 from .plan import plan
+from .simulate import simulate
 from .study import study
 from .verify import verify
 from .warm import warm
@@ -33,7 +34,7 @@ app = cyclopts.App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _command in (demo, info, calibrate, correct, convert, assess, compare, verify, plan, study, warm):
+for _command in (demo, info, calibrate, correct, convert, assess, compare, verify, plan, simulate, study, warm):
     app.command(_command)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .drift import Drift
 from .files import SceneFiles, scene_files, write_scene
 from .radar import Adsb, Ais, Radar
 from .scenario import Scenario, simulate
@@ -27,7 +28,7 @@ _ERRORS = {
 _MARINE_ERRORS = {"range_bias": (15.0, 45.0), "azimuth_bias": (0.3, 0.9), "time_offset": (0.5, 1.5)}
 
 
-def _draw(rng: np.random.Generator, bounds: dict[str, tuple[float, float]]) -> dict[str, float]:
+def _draw(rng: np.random.Generator, bounds: dict[str, tuple[float, float]]) -> dict[str, float | Drift]:
     """Errors of either sign within the bounds, rounded to what a person can read."""
     return {name: round(float(rng.choice([-1, 1]) * rng.uniform(*limits)), 4) for name, limits in bounds.items()}
 

@@ -16,11 +16,13 @@ from .._types import AnyArray, FloatArray, IntArray
 from ..errors import NothingToDo, SettingsError
 from ..geodesy import enu_from_ecef, geodetic_from_ecef, rotate
 from ..model import Sensor, Sensors, unpack_callsigns
-from ..terms import term_of
+from ..terms import Whose, term_of
 from ..writing import write_text
 from ..writing.asterix import write_asterix
 from ..writing.nmea import write_ais, write_nmea
+from ..writing.rtklib import write_rtklib
 from ..writing.tables import write_table
+from .drift import Drift
 from .radar import Observation, Radar, geometry_at
 from .scenario import Scenario, Simulated
 
@@ -51,6 +53,19 @@ class SceneFiles(msgspec.Struct, frozen=True):
     counts: dict[str, dict[str, int]] = {}
     empty: dict[str, str] = {}
 
+    def command(self, out: str | Path) -> tuple[str, ...]:
+        """The words of the command line that finds the errors again, with results in `out`; none where there is no reference."""
+        if not self.reference:
+            return ()
+        adsb = any(path.name == "adsb.ast" for path in self.reference)
+        return (
+            *("boresight", "calibrate", *map(str, self.plots), "--reference", *map(str, self.reference)),
+            *("--sensors", str(self.sensors), "--date", self.date.isoformat()),
+            # Records do not tell their edition.
+            *(("--edition", "021=2.4") if adsb else ()),
+            *("--out", str(out)),
+        )
+
 
 def plots_file(radar: Radar, form: Form = "auto") -> str:
     """The name of the file of a radar's plots.  CAT048 and CAT010 have no item for an elevation: such plots become a table."""
@@ -65,10 +80,17 @@ def scene_files(scenario: Scenario, form: Form = "auto", *, tables: bool = False
         *(plots_file(radar, form) for radar in scenario.radar),
         *(("adsb.ast",) if scenario.adsb is not None else ()),
         *(("ais.nmea",) if scenario.ais is not None else ()),
+        *(("mlat.ast",) if scenario.mlat is not None else ()),
+        *(_receiver_files(scenario) if scenario.rtk is not None else ()),
         "sensors.toml",
         "truth.json",
         *(_TABLES if tables else ()),
     )
+
+
+def _receiver_files(scenario: Scenario) -> list[str]:
+    """The names of the files of receivers on board: one a scripted target, at most."""
+    return [f"rtk-{n + 1}.pos" for n in range(sum(target.count for target in scenario.target))]
 
 
 def check_form(scenario: Scenario, form: Form) -> None:
@@ -122,6 +144,16 @@ def write_scene(
             reference.append(folder / "ais.nmea")
             write_ais(beside / "ais.nmea", run.ais.positions, run.ais.statics)
             counts["ais.nmea"] = _count(run.ais.target)
+        if len(run.mlat):
+            reference.append(folder / "mlat.ast")
+            write_asterix(beside / "mlat.ast", fixes=run.mlat)
+            counts["mlat.ast"] = _count(run.mlat_target)
+        for number in np.unique(run.rtk.track).tolist():
+            mine = run.rtk.track == number
+            name = f"rtk-{number}.pos"
+            reference.append(folder / name)
+            write_rtklib(beside / name, run.rtk[mine])
+            counts[name] = _count(run.rtk_target[mine])
         write_text(beside / "sensors.toml", sensors_toml(_as_written(run.sensors, scenario, form)))
         told: dict[str, Any] = {"scene": scenario.name, "sensors": _errors_told(run)}
         if tables:
@@ -176,10 +208,16 @@ def _as_written(sensors: Sensors, scenario: Scenario, form: Form) -> Sensors:
 
 
 def _errors_told(run: Simulated) -> dict[str, dict[str, Any]]:
-    return {
-        name: {term: {"true": value, "unit": term_of(term).unit} for term, value in terms.items()}
-        for name, terms in run.errors.items()
-    }
+    """The true errors; of one that changes, its mean over the plots and how it changes."""
+    told: dict[str, dict[str, Any]] = {}
+    for radar in run.scenario.radar:
+        terms = told[radar.name] = dict[str, Any]()
+        for term, value in run.errors[radar.name].items():
+            error = radar.errors[term]
+            terms[term] = {"true": value, "unit": term_of(term).unit}
+            if isinstance(error, Drift):
+                terms[term] |= {"mean_of": "the plots", "drift": error}
+    return told
 
 
 def sensors_toml(sensors: Sensors) -> str:
@@ -214,13 +252,19 @@ def why_nothing(run: Simulated, number: int) -> str:
     within = (seen.range_m >= radar.min_range_m) & (seen.range_m <= radar.max_range_m)
     if not within.any():
         return f"the {what} are {near:,.0f} to {far:,.0f} m away, not {radar.min_range_m:,.0f} to {radar.max_range_m:,.0f} m"
+    silent = np.zeros(len(seconds), np.bool_)
+    for begin, end in run.observations[number].outage_s:
+        silent |= (seconds >= begin) & (seconds < end)
+    if silent[within].all():
+        return f"an outage covers all the time that the {what} are in its range"
     height = np.degrees(seen.elevation_rad[within])
     if not ((height >= radar.min_elevation_deg) & (height <= radar.max_elevation_deg)).any():
         return (
             f"the {what} in its range stand at elevations of {height.min():.2f} to {height.max():.2f} degrees, "
             f"not {radar.min_elevation_deg:g} to {radar.max_elevation_deg:g}"
         )
-    return f"it turns too slowly, or detects too little, to see the {what} in its range"
+    sectors = ", or they stay in its blind sectors" if radar.gaps.blind_deg else ""
+    return f"it turns too slowly or detects too little to see the {what} in its range{sectors}"
 
 
 def _grid(first_s: FloatArray, last_s: FloatArray, step_s: float) -> tuple[IntArray, FloatArray]:
@@ -242,26 +286,36 @@ def _write_tables(run: Simulated, folder: Path, form: Form) -> None:
 
 
 def _plot_truth(run: Simulated, number: int, file: str) -> dict[str, AnyArray]:
-    """What is true of the plots of one radar; row k is the file's k-th plot."""
+    """What is true of the plots of one radar; row k is the file's k-th plot.
+
+    ``late_s`` is the stamp less the true time, with jitter and rounding; ``error_`` is what the terms did, ``noise_`` what chance
+    did.
+    """
     radar, seen = run.scenario.radar[number], run.observations[number]
-    n = len(seen.plots)
+    plots, n = seen.plots, len(seen.plots)
     rows = np.flatnonzero(seen.target >= 0)
-    true = np.full((n, 3), np.nan)
+    true, error = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
     if len(rows):
-        geometry = geometry_at(run.truth, radar, seen.target[rows], seen.seconds[rows])
-        true[rows] = np.stack([geometry.range_m, geometry.azimuth_rad, geometry.elevation_rad], axis=1)
-    true[:, 1] = np.mod(true[:, 1], 2 * math.pi)
-    return {
-        "file": np.full(n, file, object),
-        "plot": np.arange(n),
-        "sensor": np.asarray(seen.plots.sensor, np.int64),
+        whose = Whose(plots.channel[rows], plots.flags[rows], np.full(len(rows), -1, np.int32))
+        geometry = geometry_at(run.truth, radar, seen.target[rows], seen.seconds[rows])._replace(whose=whose)
+        true[rows] = np.stack([geometry.range_m, np.mod(geometry.azimuth_rad, 2 * math.pi), geometry.elevation_rad], axis=1)
+        error[rows] = 0.0
+        for name, history in seen.errors.items():
+            term = term_of(name)
+            if not term.is_time:
+                error[rows] += (history(seen.seconds[rows]) * term.si_per_unit)[:, None] * term.columns(geometry)
+    # Records of ASTERIX and NMEA stand in the order of their stamps.
+    order = np.arange(n) if file.endswith(".parquet") else np.argsort(plots.time_s, kind="stable")
+    columns: dict[str, AnyArray] = {
+        "sensor": np.asarray(plots.sensor, np.int64),
         "target": seen.target,
         "true_time_s": run.truth.epoch_s + seen.seconds,
-        "late_s": seen.plots.time_s - run.truth.epoch_s - seen.seconds,
-        "range_m": true[:, 0],
-        "azimuth_rad": true[:, 1],
-        "elevation_rad": true[:, 2],
+        "late_s": plots.time_s - run.truth.epoch_s - seen.seconds,
     }
+    for prefix, values in (("", true), ("error_", error), ("noise_", seen.noise)):
+        for k, name in enumerate(("range_m", "azimuth_rad", "elevation_rad")):
+            columns[prefix + name] = values[:, k]
+    return {"file": np.full(n, file, object), "plot": np.arange(n)} | {name: c[order] for name, c in columns.items()}
 
 
 def _error_truth(run: Simulated) -> dict[str, AnyArray]:
@@ -269,12 +323,12 @@ def _error_truth(run: Simulated) -> dict[str, AnyArray]:
     span = run.scenario.duration_s
     seconds = np.linspace(0.0, span, min(_ERROR_STEPS, math.ceil(span) + 1))
     columns: dict[str, list[AnyArray]] = {"time_s": [], "sensor_name": [], "term": [], "value": [], "unit": []}
-    for radar in run.scenario.radar:
-        for name, value in radar.errors.items():
+    for radar, seen in zip(run.scenario.radar, run.observations, strict=True):
+        for name, history in seen.errors.items():
             columns["time_s"].append(run.truth.epoch_s + seconds)
             columns["sensor_name"].append(np.full(len(seconds), radar.name, object))
             columns["term"].append(np.full(len(seconds), name, object))
-            columns["value"].append(np.full(len(seconds), value))
+            columns["value"].append(history(seconds))
             columns["unit"].append(np.full(len(seconds), term_of(name).unit, object))
     return {name: np.concatenate(parts) if parts else np.empty(0, object) for name, parts in columns.items()}
 
@@ -305,9 +359,9 @@ def _target_truth(run: Simulated) -> dict[str, AnyArray]:
 
 
 def _target_names(run: Simulated) -> Iterator[str]:
-    """What each target is called: its Mode S address and callsign, or its MMSI."""
-    craft, ships = run.truth.aircraft, run.truth.ships
-    for address, callsign in zip(craft.mode_s[: run.truth.flights].tolist(), unpack_callsigns(craft.callsign), strict=False):
-        yield f"{address:06X} {callsign}"
-    for mmsi in ships.mmsi.tolist():
-        yield str(mmsi)
+    """What each target is called: its own name, else its Mode S address and callsign, or its MMSI."""
+    craft, flights = run.truth.aircraft, run.truth.flights
+    told = [f"{a:06X} {c}".strip() for a, c in zip(craft.mode_s.tolist(), unpack_callsigns(craft.callsign), strict=True)]
+    told = [*told[:flights], *map(str, run.truth.ships.mmsi.tolist())]
+    for own, name in zip(run.truth.names or [""] * len(told), told, strict=True):
+        yield own or name

@@ -4,30 +4,53 @@ from __future__ import annotations
 
 import datetime
 import math
+import re
 import tomllib
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
-from .._types import IntArray
+from .._types import FloatArray, IntArray
 from ..errors import SettingsError
-from ..model import Fixes, Plots, Sensors, pack_callsigns
+from ..model import Fixes, Plots, Sensors
 from ..terms import CHANNELS, TERMS, term_of
 from ..writing.asterix import Marks
+from ..writing.rtklib import FIXED_SD_M, FLOAT_SD_M
+from .drift import Drift, Sine
 from .lint import Mistake, Place, decode, line_of, lines_of, nearest
-from .radar import Adsb, Ais, AisLog, Observation, Radar, observe_adsb, observe_ais, observe_radar
-from .truth import Aircraft, Airport, Atmosphere, Shipping, Traffic, Truth, fly_traffic, sail_shipping
+from .radar import (
+    Adsb,
+    Ais,
+    AisLog,
+    Clutter,
+    Gaps,
+    Noise,
+    Observation,
+    Radar,
+    check_radar,
+    observe_adsb,
+    observe_ais,
+    observe_radar,
+)
+from .reference import Mlat, Receiver, Rtk, check_mlat, check_rtk, observe_mlat, observe_rtk
+from .targets import Target, is_ship, script_targets, target_faults
+from .truth import Airport, Atmosphere, Shipping, Traffic, Truth, equip_aircraft, fly_traffic, sail_shipping
 
 _KINDS = ("psr", "ssr", "mode_s", "combined", "marine")
-_AIRLINES = ("IBE", "VLG", "RYR", "AFR", "DLH", "BAW", "EZY", "KLM", "SWR", "TAP")
+NOISES = ("range", "azimuth", "elevation", "time", "all")
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A scene: who flies and sails where, who watches.  `start` is UTC; in TOML the radars are ``[[radar]]`` tables."""
+    """A scene: who flies and sails where, who watches, and what tells where the targets are.
+
+    `start` is UTC.  `traffic` and `shipping` are drawn, `target` are given one by one.
+    """
 
     name: str = "scene"
     start: datetime.datetime = datetime.datetime(2026, 3, 1, 10, 0, tzinfo=datetime.UTC)
@@ -39,6 +62,27 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     adsb: Adsb | None = None
     shipping: Shipping | None = None
     ais: Ais | None = None
+    target: tuple[Target, ...] = ()
+    mlat: Mlat | None = None
+    rtk: Rtk | None = None
+
+    @property
+    def summary(self) -> str:
+        """What there is, in words: radars, targets, references and the length."""
+        told = [_number(len(self.radar), "radar")]
+        aircraft = self.traffic.aircraft + sum(t.count for t in self.target if t.kind != "replay" and not is_ship(t))
+        ships = (self.shipping.ships if self.shipping else 0) + sum(t.count for t in self.target if is_ship(t))
+        told += [f"{aircraft:,} aircraft"] if aircraft else []
+        told += [_number(ships, "ship")] if ships else []
+        replays = sum(t.count for t in self.target if t.kind == "replay" and not is_ship(t))
+        told += [_number(replays, "replayed target")] if replays else []
+        names = {"ADS-B": self.adsb, "AIS": self.ais, "multilateration": self.mlat, "RTK": self.rtk}
+        told += [name for name, reference in names.items() if reference is not None]
+        return f"{', '.join(told)}, {self.duration_s:,g} s"
+
+
+def _number(count: int, what: str) -> str:
+    return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +91,7 @@ class Simulated:
 
     `observations` are in the order of the scenario's radars, each in the order of stamps.  `fix_target` (m,) tells whose each fix
     is.  A radar's file holds its plots in the same order, so row numbers agree before and after writing.  `ais` is what the ships
-    sent, where the scene has AIS.
+    sent, where the scene has AIS; `mlat` and `rtk` are what multilateration and receivers on board tell.
     """
 
     scenario: Scenario
@@ -56,6 +100,10 @@ class Simulated:
     fixes: Fixes
     fix_target: IntArray
     ais: AisLog | None = None
+    mlat: Fixes = field(default_factory=Fixes)
+    mlat_target: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    rtk: Fixes = field(default_factory=Fixes)
+    rtk_target: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
 
     @property
     def sensors(self) -> Sensors:
@@ -79,8 +127,14 @@ class Simulated:
 
     @property
     def errors(self) -> dict[str, dict[str, float]]:
-        """The true errors: radar, term, value in the term's unit."""
-        return {radar.name: dict(radar.errors) for radar in self.scenario.radar}
+        """The true errors: radar, term, value in the term's unit; of one that changes, its mean over the radar's plots."""
+        return {
+            radar.name: {
+                name: error if isinstance(error, (int, float)) else _mean(seen.errors[name](seen.seconds), error)
+                for name, error in radar.errors.items()
+            }
+            for radar, seen in zip(self.scenario.radar, self.observations, strict=True)
+        }
 
 
 class Remark(msgspec.Struct, frozen=True):
@@ -101,6 +155,10 @@ class Lint(msgspec.Struct, frozen=True):
     scenario: Scenario | None
     mistakes: tuple[Remark, ...]
     warnings: tuple[Remark, ...]
+
+
+def _mean(values: FloatArray, error: Drift) -> float:
+    return float(values.mean()) if len(values) else error.value
 
 
 def load_scenario(path: str | Path) -> Scenario:
@@ -133,9 +191,14 @@ def lint_scenario(path: str | Path) -> Lint:
     scenario: Scenario | None = decoded.value
     found = list(decoded.mistakes)
     if scenario is not None:
-        told = {mistake.place for mistake in found}
+        # A recording lies beside the scenario.
+        beside = [
+            t if t.recording is None else replace(t, recording=str(Path(path).parent / t.recording)) for t in scenario.target
+        ]
+        scenario = replace(scenario, target=tuple(beside))
+        told = list(found)
         placed = (mistake._replace(place=decoded.in_file(mistake.place)) for mistake in mistakes_of(scenario))
-        found += [mistake for mistake in placed if mistake.place not in told]
+        found += [mistake for mistake in placed if not any(_follows(mistake, other) for other in told)]
     lines = lines_of(text)
 
     def remarks(mistakes: Iterable[Mistake]) -> tuple[Remark, ...]:
@@ -145,6 +208,14 @@ def lint_scenario(path: str | Path) -> Lint:
     if scenario is None or found:
         return Lint(None, remarks(found), ())
     return Lint(scenario, (), remarks(warnings_of(scenario)))
+
+
+def _follows(mistake: Mistake, first: Mistake) -> bool:
+    """Whether a mistake is but what a key that could not be read leads to: of the same place, or about that key of its table."""
+    if mistake.place == first.place:
+        return True
+    about = first.place[:-1] in (mistake.place, mistake.place[:-1])
+    return about and re.search(rf"\b{re.escape(str(first.place[-1]))}\b", mistake.text) is not None
 
 
 def _table(data: Any, place: Place) -> str:
@@ -199,26 +270,55 @@ _LIMITS: dict[type, dict[str, tuple[float, float]]] = {
         "elevation_quantum_deg": (0, 90), "time_quantum_s": (0, 10), "false_plots": (0, 1e5), "ground_height_m": (-500, 9000),
         "primary_only": (0, 1), "second_chain": (0, 1),
     },
+    Noise: {
+        "correlated": (0, 1), "correlation_s": (1e-3, 1e6), "t_degrees": (2.001, 1e6), "outliers": (0, 1),
+        "outlier_factor": (0, 1e4),
+    },
+    Clutter: {"plots": (1e-6, 1e5), "places": (1, 1e6), "scatter_m": (0, 1e5)},
+    Gaps: {"every_s": (0, 1e9), "length_s": (1e-3, 1e6)},
+    Drift: {"walk_per_sqrt_h": (0, 1e9)},
+    Sine: {"period_s": (1e-3, 1e9)},
+    Mlat: {
+        "sac": (0, 255), "sic": (0, 255), "lat_deg": (-89, 89), "lon_deg": (-180, 180), "radius_m": (100, 500e3), "share": (0, 1),
+        "loss": (0, 0.999), "correlated": (0, 1), "correlation_s": (1e-3, 1e6), "interval_s": (0.1, 600), "latency_s": (-60, 60),
+        "horizontal_sd_m": (1e-3, 1e4), "arrival_sd_m": (1e-3, 1e4), "altitude_sd_m": (1e-3, 1e4), "worst_sd_m": (1e-3, 1e5),
+        "height_sd_m": (1e-3, 1e4),
+    },
+    Receiver: {"lat_deg": (-89, 89), "lon_deg": (-180, 180), "height_m": (-500, 9000)},
+    Rtk: {
+        "interval_s": (0.05, 60), "fixed_sd_m": (1e-4, FIXED_SD_M), "float_sd_m": (FIXED_SD_M, FLOAT_SD_M),
+        "float_share": (0, 0.999), "float_s": (1e-3, 1e6), "correlated": (0, 1), "correlation_s": (1e-3, 1e6),
+        "velocity_sd_mps": (0, 100),
+        "gap_every_s": (0, 1e9), "gap_s": (0, 1e6),
+    },
 }  # fmt: skip
 # What the folder of a simulation has besides the radars' files, without the ending.
-_TAKEN = ("adsb", "ais", "truth", "truth_plots", "truth_errors", "truth_targets")
+_TAKEN = ("adsb", "ais", "mlat", "truth", "truth_plots", "truth_errors", "truth_targets")
 
 
 def mistakes_of(scenario: Scenario) -> Iterator[Mistake]:
-    """What of a scene cannot be simulated, each with its place in the scenario."""
+    """What of a scene cannot be simulated, each with its place in the scenario, and of each place the first."""
+    told: set[Place] = set()
+    for mistake in _mistakes(scenario):
+        if mistake.place not in told:
+            told.add(mistake.place)
+            yield mistake
+
+
+def _mistakes(scenario: Scenario) -> Iterator[Mistake]:
     if scenario.start.tzinfo is None:
         yield Mistake(("start",), "start has no time zone", "Write it as 2026-03-01T10:00:00Z.")
     elif not 1971 <= scenario.start.year <= 2199:
         yield Mistake(("start",), f"start lies in {scenario.start.year}, not within 1971 … 2199")
     yield from _outside(scenario, ())
     yield from _scene_mistakes(scenario)
+    yield from _target_mistakes(scenario)
     names, keys = dict[str, int](), dict[int, int]()
     for k, radar in enumerate(scenario.radar):
         place: Place = ("radar", k)
-        yield from _outside(radar, place)
         for mistake in _radar_mistakes(radar):
             yield mistake._replace(place=(*place, *mistake.place))
-        if radar.kind == "marine" and scenario.shipping is None:
+        if radar.kind == "marine" and not _ships(scenario):
             yield Mistake((*place, "kind"), "a marine radar sees ships, and there are none", "Give [shipping].")
         first = names.setdefault(radar.name.casefold(), k)
         if first != k:
@@ -229,55 +329,106 @@ def mistakes_of(scenario: Scenario) -> Iterator[Mistake]:
             yield Mistake((*place, "sic"), text, "Each has its own.")
 
 
+def _ships(scenario: Scenario) -> bool:
+    """Whether there are ships; a replay tells only when it is read."""
+    return scenario.shipping is not None or any(is_ship(t) or t.kind == "replay" for t in scenario.target)
+
+
+def _aircraft(scenario: Scenario) -> bool:
+    return scenario.traffic.aircraft > 0 or any(not is_ship(t) for t in scenario.target)
+
+
 def _outside(table: Any, place: Place) -> Iterator[Mistake]:
-    """The numbers of a table that are not finite, or not within their limits."""
+    """The numbers of a table, and of the tables in it, that are not finite or not within their limits."""
     limits = _LIMITS.get(type(table), {})
     for name in table.__struct_fields__:
         value = getattr(table, name)
-        for item in value.values() if isinstance(value, dict) else [value]:
-            if isinstance(item, float) and not math.isfinite(item):
-                yield Mistake((*place, name), f"{name} = {value} is not a finite number")
-                break
+        low, high = limits.get(name, (-math.inf, math.inf))
+        if isinstance(value, (int, float)) and not low <= value <= high:
+            yield Mistake((*place, name), f"{name} = {value} is not within {low:,g} … {high:,g}")
+        elif isinstance(value, msgspec.Struct):
+            yield from _outside(value, (*place, name))
         else:
-            low, high = limits.get(name, (-math.inf, math.inf))
-            if isinstance(value, (int, float)) and not low <= value <= high:
-                yield Mistake((*place, name), f"{name} = {value} is not within {low:,g} … {high:,g}")
+            parts: Iterable[tuple[str | int, Any]] = value.items() if isinstance(value, dict) else ()
+            for key, item in enumerate(value) if isinstance(value, tuple) else parts:
+                if isinstance(item, msgspec.Struct):
+                    yield from _outside(item, (*place, name, key))
+                elif not all(math.isfinite(x) for x in (item if isinstance(item, tuple) else (item,)) if isinstance(x, float)):
+                    yield Mistake((*place, name, key), f"{name}: {item} is not a finite number")
+
+
+def _said(check: Callable[[], None], fields: Sequence[str], place: Place) -> Iterator[Mistake]:
+    """The mistake that a check raises, at the key that it names."""
+    try:
+        check()
+    except SettingsError as error:
+        text = str(error.args[0]).removeprefix(f"{error.where}: ")
+        yield Mistake((*place, *_key_in(text, fields)), text, error.remedy)
+
+
+def _key_in(text: str, fields: Sequence[str]) -> tuple[str, ...]:
+    """The key that a message is about: before an equals sign, or a word that only a key can be, or its first word."""
+    words = [*re.findall(r"(\w+) =", text), *re.findall(r"[a-z0-9]+_\w+", text), *re.findall(r"^\w+", text)]
+    return tuple([word for word in words if word in fields][:1])
 
 
 def _scene_mistakes(scenario: Scenario) -> Iterator[Mistake]:
     """Mistakes of all that is not a radar."""
     traffic = scenario.traffic
-    yield from _outside(traffic, ("traffic",))
-    if traffic.aircraft == 0 and scenario.shipping is None:
-        yield Mistake(("traffic", "aircraft"), "aircraft = 0, and there are no ships: nothing to see", "Give [shipping].")
+    if traffic.aircraft == 0 and scenario.shipping is None and not scenario.target:
+        text = "aircraft = 0, and there are no ships or targets: nothing to see"
+        yield Mistake(("traffic", "aircraft"), text, "Give [shipping] or [[target]].")
     if traffic.arrivals + traffic.departures + traffic.local > 1 + 1e-9:
         yield Mistake(("traffic",), "arrivals + departures + local are more than 1")
     if (traffic.arrivals or traffic.departures) and traffic.aircraft and not scenario.airport:
         yield Mistake(("traffic",), "arrivals and departures need an [[airport]]", "Give one, or set both to 0.")
-    for k, airport in enumerate(scenario.airport):
-        yield from _outside(airport, ("airport", k))
-    yield from _outside(scenario.atmosphere, ("atmosphere",))
     shipping, ais, adsb = scenario.shipping, scenario.ais, scenario.adsb
-    if shipping is not None:
-        yield from _outside(shipping, ("shipping",))
-        if shipping.passing + shipping.calling + shipping.fishing + shipping.anchored > 1 + 1e-9:
-            yield Mistake(("shipping",), "passing + calling + fishing + anchored are more than 1")
-    if ais is not None:
-        yield from _outside(ais, ("ais",))
-        if shipping is None:
-            yield Mistake(("ais",), "AIS is of ships, and there are none", "Give [shipping].")
+    if shipping is not None and shipping.passing + shipping.calling + shipping.fishing + shipping.anchored > 1 + 1e-9:
+        yield Mistake(("shipping",), "passing + calling + fishing + anchored are more than 1")
+    if ais is not None and not _ships(scenario):
+        yield Mistake(("ais",), "AIS is of ships, and there are none", "Give [shipping].")
     if adsb is not None:
-        yield from _outside(adsb, ("adsb",))
         for name, share in adsb.classes.items():
             if not (name.isdecimal() and 1 <= int(name) <= 11):
                 remedy = 'For example { "9" = 0.5, "10" = 0.5 }.'
                 yield Mistake(("adsb", "classes", name), f"classes: {name!r} is no NACp, 1 … 11", remedy)
             elif share < 0:
                 yield Mistake(("adsb", "classes", name), f"classes: the share of {name!r} is negative")
-        if not sum(adsb.classes.values()) > 0:
+        if not any(share != 0 for share in adsb.classes.values()):
             yield Mistake(("adsb", "classes"), "classes must map NACp 1 … 11 to shares")
         if not 0.05 <= adsb.interval_s[0] <= adsb.interval_s[1] <= 3600:
             yield Mistake(("adsb", "interval_s"), f"interval_s = {list(adsb.interval_s)} does not rise within 0.05 … 3,600")
+
+
+def _target_mistakes(scenario: Scenario) -> Iterator[Mistake]:
+    """Mistakes of scripted targets and of what only they carry, or what sees them."""
+    taken: dict[str, int] = {}
+    names: list[str] = []
+    for k, target in enumerate(scenario.target):
+        faults = list(target_faults(target, scenario.radar, scenario.duration_s, scenario.adsb is not None))
+        # What else there is to say of an unknown craft is said of an aircraft.
+        unknown = [fault for fault in faults if fault[0].startswith("craft =")]
+        for text, remedy in unknown or faults:
+            yield Mistake(("target", k, *_key_in(text, target.__struct_fields__)), text, remedy)
+        name = target.name or f"target {k + 1}"
+        names += [name] if target.count == 1 else [f"{name}-{n + 1}" for n in range(min(target.count, 1000))]
+        if taken.setdefault(name.casefold(), k) != k:
+            text = f"name = {target.name!r} was used before, by target {taken[name.casefold()] + 1}"
+            yield Mistake(("target", k, "name"), text, "Each has its own.")
+        if target.recording is not None and not Path(target.recording).exists():
+            yield Mistake(("target", k, "recording"), f"recording = {target.recording!r}: there is no such file")
+    if scenario.mlat is not None:
+        mlat = scenario.mlat
+        if not any(_outside(mlat, ())):
+            yield from _said(partial(check_mlat, mlat, "mlat"), mlat.__struct_fields__, ("mlat",))
+    if scenario.rtk is not None:
+        rtk = scenario.rtk
+        strange = [k for k, name in enumerate(rtk.targets) if name not in names]
+        for k in strange if names else ():
+            remedy = f"{nearest(rtk.targets[k], names)}Known: {', '.join(names)}."
+            yield Mistake(("rtk", "targets", k), f"there is no target {rtk.targets[k]!r}", remedy)
+        if not any(_outside(rtk, ())) and not (names and strange):
+            yield from _said(partial(check_rtk, rtk, tuple(names), "rtk"), rtk.__struct_fields__, ("rtk",))
 
 
 def _radar_mistakes(radar: Radar) -> Iterator[Mistake]:
@@ -300,6 +451,7 @@ def _radar_mistakes(radar: Radar) -> Iterator[Mistake]:
         yield Mistake(("primary_only",), "primary_only is of combined radars", 'Give kind = "combined".')
     if radar.height_from_elevation and radar.elevation_sd_deg is None:
         yield Mistake(("height_from_elevation",), "height_from_elevation needs an elevation", "Give elevation_sd_deg.")
+    yield from _part_mistakes(radar)
     for term in radar.errors:
         place: Place = ("errors", term)
         try:
@@ -311,6 +463,28 @@ def _radar_mistakes(radar: Radar) -> Iterator[Mistake]:
             continue
         if "elevation" in needs and radar.elevation_sd_deg is None:
             yield Mistake(place, f"{term} needs a radar that measures elevation", "Give elevation_sd_deg.")
+
+
+def _part_mistakes(radar: Radar) -> Iterator[Mistake]:
+    """What `check_radar` says of each part of a radar by itself, unless its numbers were found wrong before."""
+    plain = replace(radar, errors={}, noise={}, clutter=(), gaps=Gaps(), stuck_s=(), detection=0.9)
+    parts: list[tuple[Place, Any, dict[str, Any]]] = [
+        *((("errors", name), error, {"errors": {name: error}}) for name, error in radar.errors.items()),
+        *((("clutter", k), area, {"clutter": (area,)}) for k, area in enumerate(radar.clutter)),
+        (("gaps",), radar.gaps, {"gaps": radar.gaps}),
+        (("stuck_s",), None, {"stuck_s": radar.stuck_s}),
+        (("detection",), radar.detection, {"detection": radar.detection}),
+    ]
+    for name, noise in radar.noise.items():
+        if name in NOISES:
+            parts.append((("noise", name), noise, {"noise": {name: noise}}))
+        else:
+            yield Mistake(("noise", name), f"there is no noise {name!r}", f"{nearest(name, NOISES)}Known: {', '.join(NOISES)}.")
+    for place, part, alone in parts:
+        struct = isinstance(part, msgspec.Struct)
+        if not any(_outside(part, place)) if struct else not (isinstance(part, float) and not math.isfinite(part)):
+            fields = part.__struct_fields__ if struct else ()
+            yield from _said(partial(check_radar, replace(plain, **alone), "radar"), fields, place)
 
 
 # An error beyond so many of its usual sizes, and a scene of fewer turns of the antenna, are more likely slips than wishes.
@@ -328,34 +502,54 @@ def warnings_of(scenario: Scenario) -> Iterator[Mistake]:
         if scenario.duration_s < _TURNS * radar.scan_s:
             turns = scenario.duration_s / radar.scan_s
             yield Mistake((*place, "scan_s"), f"the antenna turns only {turns:.1f} times in {scenario.duration_s:g} s")
-        region = shipping if radar.kind == "marine" else traffic if traffic.aircraft else None
-        if region is not None:
-            away = _distance_m(radar.lat_deg, radar.lon_deg, region.lat_deg, region.lon_deg)
-            if away - region.radius_m > radar.max_range_m:
-                what = "ships" if radar.kind == "marine" else "traffic"
-                yield Mistake(
-                    (*place, "max_range_m"),
-                    f"max_range_m = {radar.max_range_m:g} reaches no target: the {what} is {away - region.radius_m:,.0f} m away",
-                )
-        if radar.kind != "marine" and not traffic.aircraft:
+        sees_ships = radar.kind == "marine"
+        region = shipping if sees_ships else traffic if traffic.aircraft else None
+        if region is not None and not any(is_ship(t) == sees_ships or t.kind == "replay" for t in scenario.target):
+            away = _distance_m(radar.lat_deg, radar.lon_deg, region.lat_deg, region.lon_deg) - region.radius_m
+            if away > radar.max_range_m:
+                what = "ships are" if sees_ships else "traffic is"
+                text = f"max_range_m = {radar.max_range_m:g} reaches no target: the {what} {away:,.0f} m away or further"
+                yield Mistake((*place, "max_range_m"), text)
+        if not sees_ships and not _aircraft(scenario):
             yield Mistake((*place, "kind"), f"a radar of kind {radar.kind!r} sees aircraft, and there are none")
-        for name, value in radar.errors.items():
+        for name, error in radar.errors.items():
             term = term_of(name)
             usual = term.prior_sd / term.si_per_unit
-            if abs(value) > _USUAL * usual:
-                text = f"{name} = {value:g} {term.unit} is far beyond what radars have (sd {usual:g} {term.unit})"
+            largest = _largest(error, scenario.duration_s)
+            if largest > _USUAL * usual:
+                text = f"{name} comes to {largest:g} {term.unit}, far beyond what radars have (sd {usual:g} {term.unit})"
                 yield Mistake((*place, "errors", name), text)
     kinds = {"ships" if radar.kind == "marine" else "aircraft" for radar in scenario.radar}
-    if scenario.radar and scenario.adsb is None and scenario.ais is None:
-        yield Mistake((), "there is no reference to calibrate against", "Give [adsb], or [ais] for ships.")
-    if (
-        scenario.radar
-        and scenario.adsb is not None
-        and not (traffic.aircraft and scenario.adsb.share > 0 and "aircraft" in kinds)
-    ):
+    if not kinds:
+        return
+    adsb, ais, mlat, rtk = scenario.adsb, scenario.ais, scenario.mlat, scenario.rtk
+    if adsb is None and ais is None and mlat is None and rtk is None:
+        yield Mistake((), "there is no reference to calibrate against", "Give [adsb], [mlat], [rtk], or [ais] for ships.")
+    carried = _aircraft(scenario) and "aircraft" in kinds
+    if adsb is not None and not (carried and (adsb.share > 0 or any(t.adsb for t in scenario.target))):
         yield Mistake(("adsb",), "no radar sees a target that has ADS-B")
-    if scenario.radar and scenario.ais is not None and "ships" not in kinds:
+    if mlat is not None and not (carried and mlat.share > 0):
+        yield Mistake(("mlat",), "no radar sees a target that is multilaterated")
+    if ais is not None and "ships" not in kinds:
         yield Mistake(("ais",), "no radar sees ships, and only they have AIS", 'Ships are seen by kind = "marine".')
+    if rtk is not None:
+        carriers = [t for k, t in enumerate(scenario.target) if not rtk.targets or _carries(t, k, rtk)]
+        if not any(t.kind == "replay" or ("ships" if is_ship(t) else "aircraft") in kinds for t in carriers):
+            yield Mistake(("rtk",), "no radar sees a target that has a receiver on board")
+
+
+def _carries(target: Target, number: int, rtk: Rtk) -> bool:
+    name = target.name or f"target {number + 1}"
+    return any(wanted == name or (target.count > 1 and wanted.startswith(f"{name}-")) for wanted in rtk.targets)
+
+
+def _largest(error: float | Drift, span_s: float) -> float:
+    """About the largest value that an error can come to in a scene; of a random walk, its sd at the end."""
+    if not isinstance(error, Drift):
+        return abs(error)
+    hours = span_s / 3600.0
+    moving = sum(abs(wave.amplitude) for wave in error.sine) + sum(abs(step.by) for step in error.step)
+    return abs(error.value) + abs(error.ramp_per_h) * hours + moving + error.walk_per_sqrt_h * math.sqrt(hours)
 
 
 def _distance_m(lat_deg: float, lon_deg: float, other_lat_deg: float, other_lon_deg: float) -> float:
@@ -365,62 +559,35 @@ def _distance_m(lat_deg: float, lon_deg: float, other_lat_deg: float, other_lon_
     return 2 * _EARTH_M * math.asin(min(1.0, math.sqrt(half)))
 
 
-def _equip(scenario: Scenario, rng: np.random.Generator) -> Aircraft:
-    """Addresses, codes, callsigns and equipment.  Exact shares of ADS-B and of its classes, in random order."""
-    n = scenario.traffic.aircraft
-    adsb = scenario.adsb
-    names = [
-        f"{_AIRLINES[int(a)]}{int(b)}"
-        for a, b in zip(rng.integers(0, len(_AIRLINES), n), rng.choice(9000, n, replace=False) + 1, strict=True)
-    ]
-    accuracy = np.full(n, -1, np.int64)
-    latency, interval = np.zeros(n), np.full(n, 1.0)
-    if adsb is not None:
-        equipped = rng.permutation(n)[: round(adsb.share * n)]
-        shares = np.array(list(adsb.classes.values()), np.float64)
-        bounds = np.rint(np.cumsum(shares) / shares.sum() * len(equipped)).astype(np.int64)
-        accuracy[equipped] = np.array([int(c) for c in adsb.classes])[
-            np.searchsorted(bounds, np.arange(len(equipped)), side="right")
-        ]
-        latency = adsb.latency_mean_s + adsb.latency_sd_s * rng.normal(0.0, 1.0, n)
-        interval = rng.uniform(*adsb.interval_s, n)
-    return Aircraft(
-        mode_s=rng.choice(0xEFFFFF, n, replace=False) + 1,
-        mode_3a=rng.choice(0o6777, n, replace=False) + 1,
-        callsign=pack_callsigns(names),
-        length_m=rng.choice([28.0, 33.8, 37.6, 39.5, 44.5, 63.7, 73.9], n, p=[0.1, 0.15, 0.35, 0.2, 0.1, 0.07, 0.03]),
-        transponder_delay_m=scenario.traffic.delay_sd_m * rng.normal(0.0, 1.0, n),
-        altimetry_m=scenario.traffic.altimetry_sd_m * rng.normal(0.0, 1.0, n),
-        altitude_quantum_m=np.where(rng.random(n) < 0.8, 25.0, 100.0) * 0.3048,
-        accuracy=accuracy,
-        latency_s=latency,
-        interval_s=interval,
-    )
-
-
 def simulate(scenario: Scenario, seed: int | np.random.Generator) -> Simulated:
-    """Fly the scenario's traffic, sail its ships, and let its radars, ADS-B and AIS watch.
+    """Fly the scenario's traffic, sail its ships, and let its radars and references watch.
 
     The same scenario and seed give the same tables; another radar in the list changes neither the traffic nor the other radars'
     noise.  Raises SettingsError for what cannot be simulated.
     """
     check_scenario(scenario)
+    begin, span, adsb, ais = scenario.start.timestamp(), scenario.duration_s, scenario.adsb, scenario.ais
     flights, equipment, reports, *watches = np.random.default_rng(seed).spawn(3 + len(scenario.radar))
-    aircraft = _equip(scenario, equipment)
-    begin = scenario.start.timestamp()
-    if scenario.traffic.aircraft:
-        truth = fly_traffic(
-            scenario.traffic, scenario.airport, scenario.atmosphere, begin, scenario.duration_s, aircraft, flights
-        )
-    else:
-        truth = Truth(begin, np.empty(0), np.empty(0), aircraft, scenario.atmosphere, ())
+    aircraft = equip_aircraft(scenario.traffic.aircraft, scenario.traffic, adsb, equipment)
+    truth = fly_traffic(scenario.traffic, scenario.airport, scenario.atmosphere, begin, span, aircraft, flights)
     # Of the equipment's seed, so that neither ships nor radars change what the others draw.
-    voyages, messages = equipment.spawn(2)
-    ais = scenario.ais
+    voyages, messages, scripts, stations, receivers = equipment.spawn(5)
+    sea_m = 0.0
     if scenario.shipping is not None:
+        sea_m = scenario.shipping.sea_level_m
         latency = (0.0, 0.0) if ais is None else (ais.latency_mean_s, ais.latency_sd_s)
-        truth = sail_shipping(scenario.shipping, truth, scenario.duration_s, latency, voyages)
+        truth = sail_shipping(scenario.shipping, truth, span, latency, voyages)
+    truth = script_targets(
+        scenario.target, truth, span, scenario.radar, scripts, traffic=scenario.traffic, adsb=adsb, ais=ais, sea_level_m=sea_m
+    )
     observations = tuple(observe_radar(truth, radar, rng) for radar, rng in zip(scenario.radar, watches, strict=True))
-    fixes, fix_target = (Fixes(), np.empty(0, np.int64)) if scenario.adsb is None else observe_adsb(truth, scenario.adsb, reports)
-    log = None if ais is None else observe_ais(truth, ais, messages)
-    return Simulated(scenario, truth, observations, fixes, fix_target, log)
+    nothing: tuple[Fixes, IntArray] = Fixes(), np.empty(0, np.int64)
+    return Simulated(
+        scenario,
+        truth,
+        observations,
+        *(nothing if adsb is None else observe_adsb(truth, adsb, reports)),
+        None if ais is None else observe_ais(truth, ais, messages),
+        *(nothing if scenario.mlat is None else observe_mlat(truth, scenario.mlat, stations)),
+        *(nothing if scenario.rtk is None else observe_rtk(truth, scenario.rtk, receivers)),
+    )
