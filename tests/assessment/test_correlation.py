@@ -25,6 +25,7 @@ from boresight.assessment.correlation import (
     make_trace,
     match,
     motion_of,
+    reduction_interval,
     shared,
     theil,
 )
@@ -33,6 +34,7 @@ from boresight.calibration import Accuracy, Calibration, Noise, Summary, TermKey
 from boresight.cli import main
 from boresight.errors import NothingToDo, SettingsError
 from boresight.measure import enu_from_polar
+from boresight.registration.per_channel import PerChannel
 from boresight.writing.tables import write_table
 
 DEG = np.pi / 180
@@ -186,7 +188,8 @@ def test_independent_errors_are_told_from_shared_ones() -> None:
     assert any("Theil" in remark for remark in alone.remarks)
     constant = alone.channels[0].models[0]
     assert constant.distance == pytest.approx(2 * np.sqrt(alone.matched), abs=1e-9)
-    assert alone.channels[1].models[0].first_by_second > 0.5
+    constant = alone.channels[1].models[0]
+    assert 0.5 < constant.first_by_second_interval[0] < constant.first_by_second < constant.first_by_second_interval[1] < 1
     # The filter takes random errors down.
     assert alone.channels[0].filtered.first.variance < 0.5 * alone.channels[0].raw.first.variance
     assert alone.datasets["curved, both at once"] == pytest.approx(39, abs=12)
@@ -195,6 +198,47 @@ def test_independent_errors_are_told_from_shared_ones() -> None:
     assert "adds no information" in text
     out = json.loads(json.dumps(correlation_json(alone), allow_nan=False))
     assert out["channels"][1]["raw"]["first"]["mean"] == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("last", "common", "first", "second"),
+    [(0.0, 0.0, 2.0, 2.0), (0.8, 0.0, 2.0, 1.5), (0.9, 0.0, 1.0, 1.0), (0.8, 0.5, 1.0, 0.0)],
+)
+def test_the_interval_of_the_reduction_holds_the_truth(last: float, common: float, first: float, second: float) -> None:
+    """Constant biases of two targets under errors of unit variance that last, and of which a share is common."""
+    rng = np.random.default_rng(3)
+    n, runs, hits = 300, 60, 0
+    t, nothing = np.arange(300.0), np.full(300, np.nan)
+    places = tuple(
+        make_trace("A", t, np.stack([2e3 + east * t, 1500 + 4 * t, np.full(n, -10.0)], axis=1), np.zeros((n, 3))).place
+        for east in (5.0, -5.0)
+    )
+    truth = 1 - np.sqrt(1 + (second - first) ** 2) / np.sqrt(1 + second**2)
+    for _ in range(runs):
+        e = rng.normal(size=(3, n))
+        for k in range(1, n):
+            e[:, k] = last * e[:, k - 1] + np.sqrt(1 - last**2) * e[:, k]
+        x, y = (np.sqrt(1 - common) * e[k] + np.sqrt(common) * e[2] + mean for k, mean in enumerate((first, second)))
+        model = PerChannel(model="constant").fit(places[0], -np.stack([x, 1e-3 * x, nothing], axis=1)).channels[0]
+        assert model is not None
+        low, high = reduction_interval(model, places, (x, y))
+        hits += low <= truth <= high
+    assert 51 <= hits <= 60
+
+
+def test_errors_that_do_not_vary_have_a_reduction_and_its_interval() -> None:
+    t = np.arange(60.0)
+    enu = path(t, np.zeros(60), 8.0, (500.0, 900.0))
+    for first, second, expected in ((4.0, 4.0, 1.0), (4.0, 0.0, 0.0), (2.0, 4.0, 0.5)):
+        traces = [
+            make_trace(name, t, enu, np.stack([np.full(60, e), np.zeros(60), np.full(60, np.nan)], axis=1))
+            for name, e in (("A", first), ("B", second))
+        ]
+        found = correlate(*traces).found
+        json.dumps(correlation_json(found), allow_nan=False)
+        model = found.channels[0].models[0]
+        assert model.second_by_first == pytest.approx(expected, abs=1e-6)
+        assert model.second_by_first_interval == pytest.approx((expected, expected), abs=1e-6)
 
 
 def test_curved_motion_alone_and_too_little_of_it() -> None:

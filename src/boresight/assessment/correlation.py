@@ -29,12 +29,13 @@ from ..registration.per_channel import (
     Order,
     PerChannel,
     PerChannelFit,
+    design,
     distance_correlation,
     normalised_distance,
     rows_of,
 )
 from ..terms import DEG, Geometry
-from .distribution import result_residuals, target_numbers
+from .distribution import memory, result_residuals, target_numbers
 from .residuals import Residuals
 
 Motion = Literal["straight", "curved", "all"]
@@ -43,6 +44,8 @@ _LEAST = 10
 _ENOUGH = 30
 # Scans in which the filter finds its feet.
 _SETTLING = 10
+# Draws of the bootstrap.
+_DRAWS = 400
 UNITS = ("m", "rad", "rad")
 _DATASETS = ("dataset 1: straight, first target", "dataset 2: straight, second target", "dataset 3: straight, both at once")
 
@@ -108,8 +111,10 @@ def concordance(x: FloatArray, y: FloatArray, time_s: FloatArray) -> Concordance
     a, b = float(np.mean(u**2)) if len(u) else 0.0, float(np.mean(v**2)) if len(v) else 0.0
     if a == 0 or b == 0:
         return Concordance(1.0 if a == b else 0.0, -1.0, 1.0, float(len(u)))
-    scale = 2 * np.sqrt(a * b) / (a + b)
-    r = float(np.clip(np.mean(u * v) / np.sqrt(a * b), -1.0, 1.0))
+    # Root by root: the product of very small variances would be zero.
+    size = np.sqrt(a) * np.sqrt(b)
+    scale = 2 * size / (a + b)
+    r = float(np.clip(np.mean(u * v) / size, -1.0, 1.0))
     value = float(scale * r)
     effective = effective_number(u, v)
     if 1 - abs(value) < 1e-12:
@@ -352,7 +357,7 @@ class Agreement(msgspec.Struct, frozen=True, kw_only=True):
     """How alike the two targets' errors are as one order of model fits them, and what one target's model does to the other.
 
     `rmse` are those of the residuals of the two fits; the reductions are of the root mean square error of one target by the
-    model of the other (1: all of it, negative: worse).
+    model of the other (1: all of it, negative: worse), with their 95 % intervals.
     """
 
     order: Order
@@ -362,6 +367,8 @@ class Agreement(msgspec.Struct, frozen=True, kw_only=True):
     rmse: tuple[float, float]
     first_by_second: float
     second_by_first: float
+    first_by_second_interval: tuple[float, float]
+    second_by_first_interval: tuple[float, float]
     dropped: tuple[str, ...] = ()
 
 
@@ -434,8 +441,8 @@ def match(first_s: FloatArray, second_s: FloatArray, within_s: float | None = No
     return rows, there[rows]
 
 
-def correlate(first: Trace, second: Trace, *, motion: Motion = "straight") -> Correlation:
-    """Correlate the errors of two targets over the scans in which both move so.
+def correlate(first: Trace, second: Trace, *, motion: Motion = "straight", seed: int = 1) -> Correlation:
+    """Correlate the errors of two targets over the scans in which both move so; `seed` is that of the bootstrap's draws.
 
     Of too few scans of one `motion` all are taken, and said.  Raises NothingToDo where the targets were not seen at the same
     time, SettingsError for a motion that does not exist.
@@ -475,7 +482,7 @@ def correlate(first: Trace, second: Trace, *, motion: Motion = "straight") -> Co
         raise NothingToDo(f"{first.name} and {second.name} have {len(one)} measured scans in common: too few")
     channels = [c for c in range(3) if np.isfinite(first.error[one, c]).all() and np.isfinite(second.error[two, c]).all()]
     models = {order: (_fit(first, one, order), _fit(second, two, order)) for order in ORDERS}
-    found = tuple(_channel(c, first, second, one, two, models) for c in channels)
+    found = tuple(_channel(c, first, second, one, two, models, seed) for c in channels)
     step = float(np.median(np.abs(first.time_s[one] - second.time_s[two])))
     remarks.append("the filter takes random error away and adds no information: models are fitted to the raw errors")
     for c in found:
@@ -515,6 +522,7 @@ def _channel(
     one: IntArray,
     two: IntArray,
     models: dict[Order, tuple[PerChannelFit, PerChannelFit]],
+    seed: int,
 ) -> ChannelCorrelation:
     time_s = first.time_s[one]
     x, y = first.error[one, c], second.error[two, c]
@@ -524,7 +532,7 @@ def _channel(
         a, b = fits[0].channels[c], fits[1].channels[c]
         assert a is not None
         assert b is not None
-        agreements.append(agreement(a, b, places, (x, y)))
+        agreements.append(agreement(a, b, places, (x, y), seed=seed))
     # The highest r; of equal ones the simplest.
     alike = max(agreements, key=lambda m: round(m.r, 12)).order
     return ChannelCorrelation(
@@ -538,9 +546,17 @@ def _channel(
 
 
 def agreement(
-    first: ChannelFit, second: ChannelFit, places: tuple[Geometry, Geometry], errors: tuple[FloatArray, FloatArray]
+    first: ChannelFit,
+    second: ChannelFit,
+    places: tuple[Geometry, Geometry],
+    errors: tuple[FloatArray, FloatArray],
+    *,
+    seed: int = 1,
 ) -> Agreement:
-    """How alike two targets' fits are at their `places`, and what each does to the other's `errors` (n,), measured - true."""
+    """How alike two targets' fits are at their `places`, and what each does to the other's `errors` (n,), measured - true.
+
+    Both are of the same scans, in order of time.
+    """
     x, y = errors
     u, v = -first.correction(places[0]), -second.correction(places[1])
     distance = normalised_distance(u, v)
@@ -552,6 +568,8 @@ def agreement(
         rmse=(first.rmse, second.rmse),
         first_by_second=_reduction(x, x + second.correction(places[0])),
         second_by_first=_reduction(y, y + first.correction(places[1])),
+        first_by_second_interval=reduction_interval(second, places[::-1], (y, x), seed=seed),
+        second_by_first_interval=reduction_interval(first, places, (x, y), seed=seed),
         dropped=tuple(name for name, _ in first.dropped),
     )
 
@@ -560,6 +578,55 @@ def _reduction(before: FloatArray, after: FloatArray) -> float:
     """By which share the root mean square falls; 0 where there was nothing."""
     was, now = float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2)))
     return 1 - now / was if was > 0 else 0.0
+
+
+def reduction_interval(
+    model: ChannelFit, places: tuple[Geometry, Geometry], errors: tuple[FloatArray, FloatArray], *, seed: int = 1
+) -> tuple[float, float]:
+    """The 95 % interval of the share by which a target's root mean square falls when the model of another one corrects it.
+
+    `model` was fitted to the first of the `errors` (n,), measured - true, at the first of the `places`, and corrects the second.
+    Whole blocks of scans are drawn, three times as long as the errors remember, the same for both targets: what they share stays
+    shared.  The model's columns are fitted anew to each draw.  Errors that are all zero give 0 … 0.
+    """
+    from scipy import stats
+
+    x, y = errors
+    n = len(x)
+    value = _reduction(y, y + model.correction(places[1]))
+    if not np.any(y) or value >= 1:
+        return value, value
+    time_s, alone = places[0].time_s, np.zeros(n, np.int64)
+    memory_scans = n / min(memory(e, alone, time_s).effective for e in errors)
+    # At least six blocks, however long the errors remember.
+    block = int(np.clip(np.ceil(3 * memory_scans), 1, max(n // 6, 1)))
+    blocks = -(-n // block)
+    starts = np.random.default_rng(seed).integers(0, n, (_DRAWS, blocks))
+    rows = (starts[:, :, None] + np.arange(block)).reshape(_DRAWS, -1)[:, :n] % n
+    weight = np.zeros((_DRAWS, n))
+    np.add.at(weight, (np.arange(_DRAWS)[:, None], rows), 1.0)
+    # Columns that are orthonormal where they are fitted, so that every draw's normal equations are well posed.
+    fitted, applied = (_columns(model, place) for place in places)
+    q, triangle = np.linalg.qr(fitted)
+    applied = np.linalg.solve(triangle.T, applied.T).T
+    p = q.shape[1]
+    normal = (weight @ (q[:, :, None] * q[:, None, :]).reshape(n, -1)).reshape(-1, p, p) + 1e-9 * np.eye(p)
+    share = np.linalg.solve(normal, (weight @ (q * -x[:, None]))[:, :, None])[:, :, 0]
+    after = (weight * (y + share @ applied.T) ** 2).sum(axis=1)
+    before = weight @ y**2
+    good = (before > 0) & (after > 0)
+    if good.sum() < _DRAWS // 2:
+        return value, value
+    log_ratio = 0.5 * np.log(after[good] / before[good])
+    half = float(stats.t.ppf(0.975, max(blocks - 1, 1)) * log_ratio.std(ddof=1))
+    return 1 - (1 - value) * float(np.exp(half)), 1 - (1 - value) * float(np.exp(-half))
+
+
+def _columns(model: ChannelFit, place: Geometry) -> FloatArray:
+    """The columns (n, p) that a model kept, at these places."""
+    offered, x = design(place, model.channel, model.order, jerk=model.jerk, parallax=model.parallax)
+    at = {column.name: k for k, column in enumerate(offered)}
+    return np.asarray(x[:, [at[column.name] for column in model.columns]])
 
 
 def spread(x: FloatArray) -> Spread:
@@ -630,7 +697,12 @@ def correlation_text(found: Found) -> str:
         rows = [("model", "Theil", "distance", "r", "rmse", "first by second", "second by first")]
         for m in c.models:
             errors = f"{m.rmse[0] / scale:.{digits}f} / {m.rmse[1] / scale:.{digits}f}"
-            cross = f"{100 * m.first_by_second:+.1f} %", f"{100 * m.second_by_first:+.1f} %"
+            cross = (
+                f"{100 * value:+.1f} % ({100 * low:+.1f} … {100 * high:+.1f})"
+                for value, (low, high) in (
+                    (m.first_by_second, m.first_by_second_interval), (m.second_by_first, m.second_by_first_interval),
+                )
+            )  # fmt: skip
             rows.append((m.order, f"{m.theil:.3f}", f"{m.distance:.3f}", f"{m.r:.3f}", errors, *cross))
         lines += _table(rows)
         lines.append(f"  most alike (the paper's rule): {c.alike}")
