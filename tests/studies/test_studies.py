@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from boresight.cli import main
 from boresight.errors import SettingsError
 from boresight.studies import Settings, Study, run_study, study_json, write_study
 from boresight.studies.page import bound_text, given, number, study_text
@@ -41,6 +42,47 @@ def test_every_bound_of_the_quick_form_holds(name: str, bounded: int, printed: i
 def test_studies_that_do_not_exist_are_refused() -> None:
     with pytest.raises(SettingsError, match="Studies: serial-fusion"):
         run_study("cold-fusion")
+
+
+def test_mistakes_on_the_command_line_are_told_before_anything_is_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    taken, file = tmp_path / "taken", tmp_path / "file"
+    taken.mkdir()
+    (taken / "mean-shift.html").touch()
+    file.touch()
+    for arguments, said in (
+        (["cold-fusion", "--out", str(tmp_path / "new")], "there is no study 'cold-fusion'. Studies: serial-fusion"),
+        (["all", "--out", str(taken)], "mean-shift.html exists"),
+        (["mean-shift", "--out", str(file)], "is a file"),
+        (["mean-shift", "--seed", "-1"], "-1 is no seed"),
+        (["mean-shift", "--workers", "-2"], "-2 workers are too few"),
+        (["mean-shift", "--executor", "threads"], 'Invalid value "threads"'),
+        (["mean-shift", "--scheduler", "tcp://127.0.0.1:1"], "a scheduler is for the executor dask"),
+    ):
+        with pytest.raises(SystemExit) as stopped:
+            main(["study", *arguments])
+        out, err = capsys.readouterr()
+        assert (stopped.value.code, out, len(err.splitlines())) == (2, "", 1), err
+        assert said in err
+    assert not (tmp_path / "new").exists()
+
+
+def test_lines_with_the_same_quantities_are_a_grid_on_the_page(tmp_path: Path) -> None:
+    rows = (
+        row("a-r", "t", "one", "range", 12.5, printed=12.0, high=13.0, unit="m", note="first"),
+        row("a-e", "t", "one", "elevation", 0.5),
+        row("b-r", "t", "two", "range", 14.0, high=13.0, unit="m"),
+        row("b-e", "t", "two", "elevation", None, printed=0.25),
+        row("c", "t", "three", "share", 0.99996, low=0.5),
+    )
+    page = write_study(Study("s", "title", "paper", ("text",), rows), tmp_path / "study.html").read_text()
+    assert page.count("<table") == 2
+    assert page.count("range, m") == 1
+    assert "<b>12.50</b><small>paper 12</small><small>≤ 13 <span" in page
+    assert page.count(">fails<") == 1
+    assert '<td class="n" id="b-e"><small>paper 0.25</small></td>' in page
+    assert "<b>1.000</b>" in page
+    assert "<b>1 of 3</b>" not in page
+    assert "<b>2 of 3</b>" in page
 
 
 def test_a_row_holds_what_its_bound_says() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -46,18 +47,27 @@ def study(
         Print the rows as JSON.
     """
     from ..errors import SettingsError
-    from ..studies import Settings, run_study, study_json, study_names, write_study
+    from ..studies import Settings, check_name, run_study, study_json, study_names, write_study
     from ..studies.page import study_text
 
     if seed < 0:
         raise SettingsError(f"{seed} is no seed", where="--seed", remedy="Give 0 or more.")
-    names = study_names() if name == "all" else (name,)
+    if workers < 0:
+        raise SettingsError(
+            f"{workers} workers are too few", where="--workers", remedy="Give 1 or more, or 0 for one a processor."
+        )
+    names = study_names() if name == "all" else (check_name(name),)
     pages = {n: out / f"{n}.html" for n in names} if out is not None else {}
     for page in pages.values():
         if page.exists():
             raise SettingsError(f"{page} exists", where="--out", remedy="Name another folder.")
     if out is not None:
+        if out.exists() and not out.is_dir():
+            raise SettingsError(f"{out} is a file", where="--out", remedy="Name a folder.")
         out.mkdir(parents=True, exist_ok=True)
+        # Told now, not after minutes of work.
+        if not os.access(out, os.W_OK):
+            raise SettingsError(f"{out} cannot be written to", where="--out", remedy="Name another folder.")
     done = []
     for one in names:
         with steps(quiet=json) as step:

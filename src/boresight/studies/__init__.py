@@ -6,6 +6,6 @@ A study is a function `run(settings) -> Study` of its own module; `run_study` fi
 from __future__ import annotations
 
 from .page import write_study
-from .table import Bound, Row, Settings, Study, run_study, study_json, study_names
+from .table import Bound, Row, Settings, Study, check_name, run_study, study_json, study_names
 
-__all__ = ["Bound", "Row", "Settings", "Study", "run_study", "study_json", "study_names", "write_study"]
+__all__ = ["Bound", "Row", "Settings", "Study", "check_name", "run_study", "study_json", "study_names", "write_study"]

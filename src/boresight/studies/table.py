@@ -140,10 +140,16 @@ def study_names() -> tuple[str, ...]:
     return tuple(_MODULES)
 
 
-def run_study(name: str, settings: Settings | None = None) -> Study:
-    """Run a study by its name.  Raises SettingsError for a name that does not exist."""
+def check_name(name: str) -> str:
+    """The name itself.  Raises SettingsError where there is no such study."""
     if name not in _MODULES:
         raise SettingsError(f"there is no study {name!r}", where="study", remedy=f"Studies: {', '.join(_MODULES)}, or all.")
+    return name
+
+
+def run_study(name: str, settings: Settings | None = None) -> Study:
+    """Run a study by its name.  Raises SettingsError for a name that does not exist."""
+    check_name(name)
     started = time.perf_counter()
     settings = settings or Settings()
     found: Study = import_module(f".{_MODULES[name]}", __package__).run(settings)
