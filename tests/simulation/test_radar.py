@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+from functools import cache
+
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from boresight.alignment import locate
 from boresight.assessment.detection import RadarEquation
+from boresight.association import search
 from boresight.errors import SettingsError
 from boresight.geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate
 from boresight.measure import polar_from_enu, wrap_rad
 from boresight.model import Channel, Pairs, Sensors
+from boresight.platform import platform_views
 from boresight.registration import register
 from boresight.registration.sequential import online_samples, register_online
-from boresight.simulation import Adsb, Airport, Radar, Scenario, Simulated, Traffic, Truth, simulate
+from boresight.simulation import Adsb, Airport, Radar, Scenario, Simulated, Traffic, Truth, simulate, vessel
 from boresight.simulation.demo import demo_scene
 from boresight.simulation.drift import Drift, Sine, Step
 from boresight.simulation.radar import Clutter, Gaps, Noise, Observation, check_radar, geometry_at, observe_radar, site
+from boresight.simulation.vessel import Vessel
 from boresight.terms import DEG, TERMS, TIME_TERMS, Geometry
 from boresight.writing.asterix import accuracy_sd_m
 
@@ -306,20 +313,25 @@ def test_another_radar_changes_nothing_of_the_first() -> None:
     np.testing.assert_array_equal(one.observations[0].plots.range_m, two.observations[0].plots.range_m)
 
 
-def test_a_radar_that_moves_and_swings_measures_in_its_own_axes(monkeypatch: pytest.MonkeyPatch) -> None:
+SHIP = Vessel(
+    lat_deg=41.0, lon_deg=2.5, height_m=50.0, speed_mps=8.0, course_deg=50.0, turn_degps=0.05, roll_deg=4.0, pitch_deg=1.5,
+    yaw_deg=1.0, heave_m=1.0, lever_arm_m=(20.0, 2.0, 15.0), angles="deck", report_s=0.2, position_sd_m=0.5,
+    heading_sd_deg=0.05, roll_sd_deg=0.05, pitch_sd_deg=0.05,
+)  # fmt: skip
+
+
+def changed_ship(**fields: object) -> Vessel:
+    return Vessel(**{"lat_deg": BARE.lat_deg, "lon_deg": BARE.lon_deg, **fields})
+
+
+ABOARD = changed(BARE, lat_deg=41.0, lon_deg=2.5, height_m=50.0, platform=SHIP)
+
+
+def test_a_radar_that_moves_and_swings_measures_in_its_own_axes() -> None:
     """Rates in the antenna's axes against differences of what it measures; plots are taken where its own axes point."""
-    from boresight.simulation import radar as module
-
-    def swinging(radar: Radar, truth: Truth, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        origin, level = site(radar)
-        way = np.stack([8.0 * seconds, 300.0 * np.sin(seconds / 40.0), 2.0 * np.sin(seconds)], axis=-1)
-        roll, zero, one = 0.06 * np.sin(seconds / 1.3), np.zeros_like(seconds), np.ones_like(seconds)
-        lean = np.array([[np.cos(roll), zero, -np.sin(roll)], [zero, one, zero], [np.sin(roll), zero, np.cos(roll)]])
-        return origin + way @ level, np.moveaxis(lean, -1, 0) @ level
-
-    monkeypatch.setattr(module, "pose", swinging)
-    run = scene(BARE)
+    run = scene(ABOARD)
     seen = run.observations[0]
+    ship = seen.radar.platform
     assert len(seen.plots) > 1000
     antenna = 2 * np.pi * (seen.plots.time_s - run.truth.epoch_s - 1.25) / 4.0
     assert np.abs(wrap_rad(antenna - seen.plots.azimuth_rad)).max() < 1e-6
@@ -328,21 +340,52 @@ def test_a_radar_that_moves_and_swings_measures_in_its_own_axes(monkeypatch: pyt
     h = 0.02
 
     def polar(at: np.ndarray) -> np.ndarray:
-        origin, rotation = swinging(BARE, run.truth, at)
+        origin, rotation = vessel.pose(ship, at)
         return polar_from_enu(rotate(rotation, run.truth.motion(target, at, 0).position - origin))
 
-    g = geometry_at(run.truth, BARE, target, when)
+    g = geometry_at(run.truth, seen.radar, target, when)
     inside = (when - h > run.truth.first_s[target]) & (when + h < run.truth.last_s[target])
     before, now, after = polar(when - h), polar(when), polar(when + h)
+    np.testing.assert_allclose(seen.plots.range_m[rows], now[:, 0], atol=1e-6)
     across, bend = after - before, after - 2 * now + before
     across[:, 1], bend[:, 1] = wrap_rad(across[:, 1]), wrap_rad(bend[:, 1])
-    np.testing.assert_array_equal(now[:, 0], g.range_m)
     # The errors of these plain differences are third and fourth rates times h^2.
     for k, (rate, second) in enumerate([(1e-3, 5e-3), (1e-6, 1e-5), (1e-5, 1e-5)]):
         np.testing.assert_allclose((across / (2 * h))[inside, k], g.rate[inside, k], rtol=1e-3, atol=rate)
         np.testing.assert_allclose((bend / h**2)[inside, k], g.second[inside, k], rtol=1e-3, atol=second)
-    ahead, behind = (geometry_at(run.truth, BARE, target[inside], when[inside] + d).second for d in (h, -h))
+    ahead, behind = (geometry_at(run.truth, seen.radar, target[inside], when[inside] + d).second for d in (h, -h))
     np.testing.assert_allclose((ahead - behind)[:, 2] / (2 * h), g.third[inside, 2], rtol=2e-3, atol=1e-5)
+
+
+def test_a_ship_at_rest_is_a_site_and_reports_it() -> None:
+    site_alone = changed(ABOARD, platform=None, range_sd_m=30.0)
+    rest = Vessel(lat_deg=41.0, lon_deg=2.5, height_m=50.0, speed_mps=0.0)
+    still, moored = (scene(r).observations[0] for r in (site_alone, changed(site_alone, platform=rest)))
+    np.testing.assert_array_equal(still.target, moored.target)
+    np.testing.assert_allclose(still.plots.range_m, moored.plots.range_m, atol=1e-5)
+    np.testing.assert_allclose(still.plots.azimuth_rad, moored.plots.azimuth_rad, atol=1e-9)
+    np.testing.assert_allclose(moored.marks.latitude_rad, still.marks.latitude_rad, atol=1e-12)
+    assert len(still.own_ship) == 0
+    np.testing.assert_allclose(np.degrees(moored.own_ship.latitude_rad), 41.0, atol=1e-9)
+    assert (moored.own_ship.sensor == moored.plots.sensor[0]).all()
+
+
+def test_errors_are_found_from_aboard() -> None:
+    errors = {"range_bias": 40.0, "azimuth_bias": 0.5, "time_offset": 0.2}
+    radar = changed(ABOARD, range_sd_m=30.0, azimuth_sd_deg=0.1, elevation_sd_deg=None, max_range_m=60e3, errors=errors)
+    # The rates of bearings come from reported headings: with noise in these, late stamps would be found too small.
+    radar = changed(radar, platform=msgspec.structs.replace(SHIP, heading_sd_deg=0.0))
+    run = scene(radar, aircraft=30, adsb=Adsb(share=1.0, latency_sd_s=0.0))
+    seen = run.observations[0]
+    assert len(np.unique(seen.target)) > 10
+    plots, views, sensors, _ = platform_views(seen.plots, seen.own_ship, run.sensors)
+    pairs = search(plots, locate(run.fixes, sensors)[0], sensors, views=views).pairs
+    found = register(pairs, sensors, model=tuple(errors))
+    for name, true in errors.items():
+        k = found.index(radar.sensor.key, name)
+        assert k is not None
+        assert abs(found.value[0, k] - true * TERMS[name].si_per_unit) < 4 * found.sd[0, k], name
+        assert found.sd[0, k] < 0.2 * abs(true) * TERMS[name].si_per_unit
 
 
 def table(seen: Observation) -> bytes:
@@ -359,10 +402,10 @@ def test_options_that_say_nothing_new_give_the_same_bytes() -> None:
         for radar in plain.radar
     )
     noisy = tuple(changed(radar, false_plots=3.0) for radar in plain.radar)
-    before = simulate(changed_scene(plain, duration_s=900.0, radar=noisy), 5)
-    after = simulate(changed_scene(plain, duration_s=900.0, radar=radars), 5)
+    before = simulate(changed_scene(plain, duration_s=600.0, radar=noisy), 5)
+    after = simulate(changed_scene(plain, duration_s=600.0, radar=radars), 5)
     assert [table(o) for o in before.observations] == [table(o) for o in after.observations]
-    assert len(before.plots) > 3000
+    assert len(before.plots) > 2000
 
 
 def changed_scene(scenario: Scenario, **fields: object) -> Scenario:
@@ -374,13 +417,17 @@ RESTLESS = Drift(
 )
 
 
-def left_over(run: Simulated, number: int = 0) -> tuple[np.ndarray, Observation]:
-    """Measured minus the truth at the passings, and the observation."""
-    radar, seen = run.scenario.radar[number], run.observations[number]
-    g = geometry_at(run.truth, radar, seen.target, seen.seconds)
+def off_truth(truth: Truth, radar: Radar, seen: Observation) -> np.ndarray:
+    """Measured minus the truth at the passings (n, 3)."""
+    g = geometry_at(truth, radar, seen.target, seen.seconds)
     p = seen.plots
     left = [p.range_m - g.range_m, wrap_rad(p.azimuth_rad - g.azimuth_rad), p.elevation_rad - g.elevation_rad]
-    return np.stack(left, axis=1), seen
+    return np.stack(left, axis=1)
+
+
+def left_over(run: Simulated) -> tuple[np.ndarray, Observation]:
+    """The same of a scene's first radar, and its observation."""
+    return off_truth(run.truth, run.scenario.radar[0], run.observations[0]), run.observations[0]
 
 
 def test_a_drifting_term_is_in_every_plot_as_its_history_says() -> None:
@@ -437,11 +484,17 @@ def test_a_stuck_clock_and_one_of_another_day() -> None:
     np.testing.assert_allclose(left_over(run)[0][:, 1], 0.0, atol=1e-9)
 
 
+@cache
+def sky() -> Truth:
+    """Flights enough for the laws of chance."""
+    return scene(aircraft=60, duration_s=1500.0).truth
+
+
 def busy(**fields: object) -> tuple[np.ndarray, Observation]:
     """What is left of many plots, in sds of 10 m, 0.1 degrees and 0.2 degrees, and the observation."""
     radar = changed(BARE, scan_s=2.0, range_sd_m=10.0, azimuth_sd_deg=0.1, elevation_sd_deg=0.2, **fields)
-    run = scene(radar, aircraft=60, duration_s=1500.0)
-    left, seen = left_over(run)
+    seen = observe_radar(sky(), radar, np.random.default_rng(1))
+    left = off_truth(sky(), radar, seen)
     np.testing.assert_allclose(left, seen.noise, atol=1e-6)
     return left / [10.0, 0.1 * DEG, 0.2 * DEG], seen
 
@@ -481,17 +534,15 @@ def test_outliers_are_a_share_and_come_on_top() -> None:
     share = 0.1 * 2 * stats.norm.sf(0.5)
     assert np.mean(np.abs(left[:, 1]) > 4) == pytest.approx(share, abs=4 * np.sqrt(share / n))
     assert left[:, 0].std() == pytest.approx(1.0, abs=0.03)
-    jitter = scene(changed(BARE, time_sd_s=0.02, noise={"time": Noise(t_degrees=4.0)}), aircraft=30, duration_s=1500.0)
-    seen = jitter.observations[0]
-    late = (seen.plots.time_s - jitter.truth.epoch_s - seen.seconds) / 0.02
+    seen = observe_radar(sky(), changed(BARE, time_sd_s=0.02, noise={"time": Noise(t_degrees=4.0)}), np.random.default_rng(1))
+    late = (seen.plots.time_s - sky().epoch_s - seen.seconds) / 0.02
     assert stats.kstest(late * np.sqrt(2), stats.t(4).cdf).pvalue > 1e-3
 
 
 def test_detection_falls_with_range_as_the_radar_equation_says() -> None:
     law = RadarEquation(pd=0.8, range_m=90e3, pfa=1e-6, swerling=1)
-    fields = {"scan_s": 2.0, "max_range_m": 200e3}
-    every = scene(changed(BARE, **fields), aircraft=60, duration_s=1500.0).observations[0]
-    some = scene(changed(BARE, **fields, detection=law), aircraft=60, duration_s=1500.0).observations[0]
+    radar = changed(BARE, scan_s=2.0, max_range_m=200e3)
+    every, some = (observe_radar(sky(), r, np.random.default_rng(1)) for r in (radar, changed(radar, detection=law)))
     edges = np.arange(20e3, 200e3, 15e3)
     total, seen = (np.histogram(o.plots.range_m, edges)[0] for o in (every, some))
     chance = np.histogram(every.plots.range_m, edges, weights=law.probability(every.plots.range_m))[0]
@@ -527,16 +578,15 @@ def test_clutter_has_places_of_its_own() -> None:
 
 
 def test_nothing_comes_in_gaps_and_blind_sectors() -> None:
-    gaps = Gaps(outage_s=((100.0, 160.0),), every_s=120.0, length_s=15.0, blind_deg=((350.0, 20.0), (90.0, 95.0)))
+    gaps = Gaps(outage_s=((100.0, 160.0),), every_s=60.0, length_s=15.0, blind_deg=((350.0, 20.0), (90.0, 95.0)))
     area = Clutter(range_m=(2e3, 90e3), plots=20.0, places=200)
     radar = changed(BARE, kind="psr", scan_s=2.0, false_plots=20.0, clutter=(area,))
-    full = scene(radar, aircraft=40, duration_s=3000.0).observations[0]
-    seen = scene(changed(radar, gaps=gaps), aircraft=40, duration_s=3000.0).observations[0]
+    full, seen = (observe_radar(sky(), r, np.random.default_rng(1)) for r in (radar, changed(radar, gaps=gaps)))
     begin, end = seen.outage_s.T
     assert len(full.outage_s) == 0
     assert len(begin) - 1 == pytest.approx(25, abs=4 * 5)
     assert (100.0, 160.0) in set(map(tuple, seen.outage_s))
-    for times in (seen.seconds, seen.marks.time_s - scene(radar).truth.epoch_s):
+    for times in (seen.seconds, seen.marks.time_s - sky().epoch_s):
         silent = ((times[:, None] >= begin) & (times[:, None] < end)).any(axis=1)
         assert not silent.any()
     azimuth = np.degrees(seen.plots.azimuth_rad)
@@ -638,6 +688,8 @@ def test_online_registration_follows_a_sine() -> None:
         ({"gaps": Gaps(outage_s=((30.0, 20.0),))}, "gaps: outage_s needs pairs"),
         ({"gaps": Gaps(every_s=-1.0)}, "gaps: needs every_s"),
         ({"gaps": Gaps(blind_deg=((float("nan"), 20.0),))}, "gaps: blind_deg needs"),
+        ({"platform": changed_ship(roll_deg=80.0)}, "platform: roll_deg = 80.0 is not within 0"),
+        ({"platform": changed_ship(lat_deg=41.5)}, "platform: starts at lat_deg = 41.5, lon_deg = 2.0, and the radar elsewhere"),
         ({"stuck_s": ((30.0, 30.0),)}, "stuck_s: stuck_s needs pairs"),
     ],
 )

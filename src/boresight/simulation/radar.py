@@ -20,13 +20,15 @@ from ..assessment.detection import RadarEquation
 from ..errors import SettingsError
 from ..geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate
 from ..measure import heading_about, polar_from_enu, polar_motion, position_from_polar, wrap_turn
-from ..model import Channel, Fixes, Flag, Plots, Sensor
+from ..model import Channel, Fixes, Flag, Platform, Plots, Sensor
 from ..terms import Geometry, Whose, late_s, term_of
 from ..writing.asterix import Marks, accuracy_sd_m
 from ..writing.nmea import KNOT_MPS, AisPositions, AisStatics
+from . import vessel
 from .drift import Drift, History, Streams, drift_mistakes, gauss_markov, history
 from .lint import Mistake
 from .truth import STEP_S, Motion, Truth
+from .vessel import Vessel
 
 # The quanta of CAT048 and CAT021.
 ASTERIX_RANGE_M = 1852.0 / 256
@@ -97,7 +99,8 @@ class Radar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     leaves the altitude.  Secondary ranges carry each aircraft's transponder delay.  Of a combined radar the share `primary_only`
     of the plots is the primary's alone; during the share `second_chain` of the scene, its end, the second processing chain works.
     `false_plots` are per scan, anywhere; `clutter` has places.  `first_north_s` is when the antenna first points north (None:
-    drawn).  `ground_height_m` is what sensors.toml tells of the ground, or the sea.
+    drawn).  `ground_height_m` is what sensors.toml tells of the ground, or the sea.  On a `platform` the radar sails along, from
+    the place that is given; the phases of the ship's swinging are drawn where it has none.
     """
 
     name: str
@@ -133,22 +136,24 @@ class Radar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     clutter: tuple[Clutter, ...] = ()
     gaps: Gaps = Gaps()
     stuck_s: tuple[tuple[float, float], ...] = ()
+    platform: Vessel | None = None
 
     @property
     def sensor(self) -> Sensor:
         """The entry of sensors.toml: what an operator would know of this radar, so without its errors and noise."""
-        return Sensor(
+        sensor = Sensor(
             name=self.name,
             sac=self.sac,
             sic=self.sic,
-            lat_deg=self.lat_deg,
-            lon_deg=self.lon_deg,
-            height_m=self.height_m,
             kind=self.kind,
             scan_s=self.scan_s,
             max_range_m=self.max_range_m,
             ground_height_m=self.ground_height_m,
         )
+        if self.platform is not None:
+            # Where it is, own ship reports.
+            return msgspec.structs.replace(sensor, lever_arm_m=self.platform.lever_arm_m, angles=self.platform.angles)
+        return msgspec.structs.replace(sensor, lat_deg=self.lat_deg, lon_deg=self.lon_deg, height_m=self.height_m)
 
 
 def check_radar(radar: Radar, where: str) -> None:
@@ -158,7 +163,7 @@ def check_radar(radar: Radar, where: str) -> None:
 
 
 def radar_mistakes(radar: Radar) -> Iterator[Mistake]:
-    """What makes no sense of a radar's drifts, detection, noise, clutter, gaps and clock, each with its place in the radar.
+    """What makes no sense of a radar's drifts, detection, noise, clutter, gaps, clock and ship, each with its place in the radar.
 
     What is of names, kinds and places is the scenario's to check.
     """
@@ -204,6 +209,18 @@ def radar_mistakes(radar: Radar) -> Iterator[Mistake]:
         yield Mistake(("gaps",), "blind_deg needs pairs of angles")
     if not _are_spans(radar.stuck_s):
         yield Mistake(("stuck_s",), "stuck_s needs pairs (from, to), the second the later")
+    if radar.platform is not None:
+        yield from _vessel_mistakes(radar, radar.platform)
+
+
+def _vessel_mistakes(radar: Radar, ship: Vessel) -> Iterator[Mistake]:
+    try:
+        vessel.check_vessel(ship, "platform")
+    except SettingsError as error:
+        yield Mistake(("platform",), str(error.args[0]).removeprefix("platform: "), error.remedy)
+    if max(abs(ship.lat_deg - radar.lat_deg), abs(ship.lon_deg - radar.lon_deg)) > 1e-9:
+        text = f"starts at lat_deg = {ship.lat_deg}, lon_deg = {ship.lon_deg}, and the radar elsewhere"
+        yield Mistake(("platform",), text, "Give both the same place.")
 
 
 def _are_spans(spans: Iterable[tuple[float, float]]) -> bool:
@@ -272,7 +289,8 @@ class Observation:
     Where the clock jumps or sticks they are in the order of measuring.  `target` is -1 for false plots and clutter; `seconds` is
     when the antenna pointed at the target, after the epoch; `noise` (n, 3) is what was added at random to range, azimuth and
     elevation, quantisation not included.  `errors` are the true values of each term as functions of the seconds, in the term's
-    unit; `outage_s` (m, 2) is from when to when the radar was silent.
+    unit; `outage_s` (m, 2) is from when to when the radar was silent.  `radar` is the radar with all that was drawn of it, for
+    `pose` and `geometry_at`, and `own_ship` what its platform reported of itself, empty on land.
     """
 
     plots: Plots
@@ -282,6 +300,8 @@ class Observation:
     marks: Marks
     errors: dict[str, History]
     outage_s: FloatArray
+    radar: Radar
+    own_ship: Platform
 
 
 def site(radar: Radar) -> tuple[FloatArray, FloatArray]:
@@ -290,12 +310,12 @@ def site(radar: Radar) -> tuple[FloatArray, FloatArray]:
     return ecef_from_geodetic(latitude, longitude, radar.height_m), enu_from_ecef(latitude, longitude)
 
 
-def pose(radar: Radar, truth: Truth, seconds: FloatArray) -> tuple[FloatArray, FloatArray]:
+def pose(radar: Radar, seconds: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Where the antenna is (n, 3), ECEF metres, and the rotation (n, 3, 3) to the axes it measures in, at times (n,).
 
     Times are seconds after the epoch.  Of a radar that stands still both are one for all times, (3,) and (3, 3).
     """
-    return site(radar)
+    return site(radar) if radar.platform is None else vessel.pose(radar.platform, seconds)
 
 
 # Rates of a pose come from its values so many seconds apart, by central differences of sixth (third rate: fourth) order.
@@ -311,11 +331,11 @@ _POSE_RATES = np.array(
 
 def _relative(truth: Truth, radar: Radar, target: IntArray, seconds: FloatArray, motion: Motion) -> Motion:
     """Targets (n,) in the antenna's axes: where they are from it, and how that moves, as far as `motion` tells."""
-    origin, rotation = pose(radar, truth, seconds)
+    origin, rotation = pose(radar, seconds)
     away = motion.position - origin
     if rotation.ndim == 2:
         return Motion(*(rotate(rotation, part) for part in (away, *motion[1:])))
-    near = [pose(radar, truth, seconds + k * _POSE_STEP_S) for k in range(-3, 4)]
+    near = [pose(radar, seconds + k * _POSE_STEP_S) for k in range(-3, 4)]
     scale = _POSE_STEP_S ** -np.arange(1.0, 4.0)
     # About the place at the time itself: differences of Earth-centred positions would lose digits.
     moved = np.einsum("dk,knj,d->dnj", _POSE_RATES, np.stack([at - origin for at, _ in near]), scale)
@@ -329,7 +349,7 @@ def geometry_at(truth: Truth, radar: Radar, target: IntArray, seconds: FloatArra
     """How targets (n,) truly stand and move as the radar sees them, at times (n,) after the epoch."""
     motion = truth.motion(target, seconds)
     polar, rate, second, third = polar_motion(*_relative(truth, radar, target, seconds, motion))
-    _, rotation = pose(radar, truth, seconds)
+    _, rotation = pose(radar, seconds)
     return Geometry(
         range_m=polar[:, 0],
         azimuth_rad=polar[:, 1],
@@ -358,7 +378,7 @@ def _passings(truth: Truth, radar: Radar, first_north_s: float) -> tuple[IntArra
         count = int((truth.last_s[k] - truth.first_s[k]) / step) + 1
         when = np.linspace(truth.first_s[k], truth.last_s[k], count)
         position = truth.motion(np.full(count, k), when, derivatives=0).position
-        origin, rotation = pose(radar, truth, when)
+        origin, rotation = pose(radar, when)
         azimuth = np.unwrap(polar_from_enu(rotate(rotation, position - origin))[:, 1])
         turns = (when - first_north_s) / radar.scan_s - azimuth / (2 * np.pi)
         # A target over the antenna can outrun the beam for a moment; such turns are not passings.
@@ -419,9 +439,13 @@ def observe_radar(truth: Truth, radar: Radar, rng: np.random.Generator) -> Obser
     drawn = rng.uniform(0.0, radar.scan_s)
     north = drawn if radar.first_north_s is None else radar.first_north_s
     streams = Streams(rng)
+    if radar.platform is not None:
+        radar = msgspec.structs.replace(radar, platform=vessel.settled(radar.platform, streams("swinging")))
     span = float(truth.last_s.max()) if len(truth) else 0.0
     errors = {name: history(error, span, streams(f"error {name}")) for name, error in radar.errors.items()}
     outage = outages(span, radar.gaps, streams("gaps"))
+    ship, key = radar.platform, radar.sac << 8 | radar.sic
+    own = Platform() if ship is None else vessel.own_ship(ship, key, truth.epoch_s, span, streams("own ship"))
     target, seconds = _passings(truth, radar, north)
     whose = _whose(truth, radar, target, seconds, rng)
     late, stuck = _late(radar, errors, seconds, whose)
@@ -466,7 +490,8 @@ def observe_radar(truth: Truth, radar: Radar, rng: np.random.Generator) -> Obser
         plots, target, seconds, noise = plots.take(order), target[order], seconds[order], noise[order]
     else:
         target, seconds, noise = echoes.target, echoes.seconds, echoes.noise
-    return Observation(plots.replace(record=np.arange(len(plots))), target, seconds, noise, marks, errors, outage)
+    plots = plots.replace(record=np.arange(len(plots)))
+    return Observation(plots, target, seconds, noise, marks, errors, outage, radar, own)
 
 
 def _late(radar: Radar, errors: dict[str, History], seconds: FloatArray, whose: Whose | None) -> tuple[FloatArray, BoolArray]:
@@ -578,7 +603,7 @@ def _plots(truth: Truth, radar: Radar, echoes: _Seen, rng: np.random.Generator) 
     if radar.elevation_sd_deg is not None:
         columns["elevation_rad"] = _rounded(measured[:, 2], math.radians(radar.elevation_quantum_deg))
         if radar.height_from_elevation:
-            columns["height_m"] = geodetic_from_ecef(position_from_polar(measured, *pose(radar, truth, seconds)))[2]
+            columns["height_m"] = geodetic_from_ecef(position_from_polar(measured, *pose(radar, seconds)))[2]
     if secondary.any():
         position = truth.motion(target, seconds, derivatives=0).position
         altitude = truth.geodetic(position)[2] + craft.altimetry_m[target]
@@ -696,7 +721,7 @@ def _north_marks(truth: Truth, radar: Radar, north: float, errors: dict[str, His
     when = np.asarray(north + radar.scan_s * np.arange(turns), np.float64)
     when = when[~_silent(outage_s, when)]
     n = len(when)
-    origin, rotation = pose(radar, truth, when)
+    origin, rotation = pose(radar, when)
     still = math.radians(radar.lat_deg), math.radians(radar.lon_deg), radar.height_m
     latitude, longitude, height = (np.full(n, v) for v in still) if rotation.ndim == 2 else geodetic_from_ecef(origin)
     return Marks(
