@@ -200,12 +200,12 @@ def distribution(
         anderson=_anderson(scaled),
         anderson_5_percent=_anderson_limit(len(thin)),
         jarque_bera=float(stats.chi2.sf(jarque_bera, 2)),
-        normal_bic=normal_bic,
+        normal_bic=float(normal_bic),
         student=student,
         mixtures=tuple(mixtures),
         best=min(candidates, key=lambda name: candidates[name]),
         step=step,
-        step_sd=step / np.sqrt(12),
+        step_sd=float(step / np.sqrt(12)),
         robust_sd=_robust(x),
         memory=remembered,
         tested=len(thin),
@@ -254,7 +254,7 @@ def memory(values: FloatArray, target: AnyArray, time_s: FloatArray) -> Memory:
         first = np.searchsorted(ordered, each, "right")
         rest = np.r_[np.cumsum(ordered[::-1])[::-1], 0]
         pairs = rest[first] - each * (len(ordered) - first)
-        effective, shape = (n**2 / (n + 2 * float(pairs @ rho**power)) for power in (1, 3))
+        effective, shape = (float(n**2 / (n + 2 * (pairs @ rho**power))) for power in (1, 3))
     else:
         effective = shape = float(n)
     return Memory(
