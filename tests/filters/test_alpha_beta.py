@@ -8,6 +8,7 @@ from scipy.linalg import solve_discrete_are
 
 from boresight.errors import SettingsError
 from boresight.filters import AlphaBeta, alpha_beta_filter
+from boresight.filters.alpha_beta import alpha_beta_covariance
 
 
 @pytest.mark.parametrize(("acceleration", "dt", "sd"), [(0.5, 4.0, 60.0), (5.0, 1.0, 20.0), (0.01, 10.0, 100.0)])
@@ -42,3 +43,21 @@ def test_what_makes_no_sense_is_refused() -> None:
         alpha_beta_filter(z, np.arange(3.0), AlphaBeta(alpha=0.0))
     with pytest.raises(SettingsError, match="time goes backwards"):
         alpha_beta_filter(z, np.array([0.0, 2.0, 1.0]), AlphaBeta())
+
+
+@pytest.mark.parametrize(("alpha", "beta"), [(0.5, 0.1), (0.2, 0.02), (0.9, 0.6)])
+def test_the_covariance_settles_at_kalatas_and_is_that_of_many_runs(alpha: float, beta: float) -> None:
+    gains, time_s = AlphaBeta(alpha=alpha, beta=beta), 2.0 * np.arange(400)
+    found = alpha_beta_covariance(np.full((1, 400), 9.0), time_s, gains)
+    shrink = alpha * (4 - 2 * alpha - beta)
+    assert found[0, -1, 0, 0] == pytest.approx(9.0 * (2 * alpha**2 + beta * (2 - 3 * alpha)) / shrink, rel=1e-6)
+    assert found[0, -1, 1, 1] == pytest.approx(9.0 * 2 * beta**2 / shrink / 4.0, rel=1e-6)
+    # Uneven times with gaps: against what the filter itself does with noise.
+    rng = np.random.default_rng(1)
+    uneven = np.cumsum(rng.uniform(0.5, 4.0, 30))
+    variance = rng.uniform(1.0, 9.0, 30)
+    variance[[4, 5, 17]] = np.nan
+    noise = rng.normal(size=(20_000, 30)) * np.sqrt(variance)
+    states = alpha_beta_filter(noise[:, :, None], uneven, gains)
+    expected = np.einsum("nki,nkj->kij", states, states) / len(states)
+    assert alpha_beta_covariance(variance[None], uneven, gains)[0] == pytest.approx(expected, rel=0.06, abs=0.03)

@@ -245,9 +245,8 @@ def test_biases_are_found_and_held_out_targets_come_nearer(name: str, elevation:
     assert summary.held_out_after_p95_m < summary.held_out_before_p95_m
     assert summary.after.median_m < 1.02 * summary.held_out_after_median_m
     assert summary.targets == 24 - len(set(range(24)) - set(pairs.target.tolist()))
-    if name != "least-squares":
-        assert any(note.startswith("inliers: ") for note in summary.notes)
-        assert any(note.startswith("how it ended: ") for note in summary.notes)
+    assert any(note.startswith("inliers: ") for note in summary.notes)
+    assert any(note.startswith("how it ended: ") for note in summary.notes)
 
 
 def test_the_folds_are_the_same_for_all_methods(level: Pairs) -> None:
@@ -436,6 +435,14 @@ def test_least_squares_over_time_keeps_the_constant_terms_and_follows_the_biases
     still = checked("least-squares", moving)
     assert found.sensors[0].held_out_after_median_m < 0.9 * still.sensors[0].held_out_after_median_m
     assert found.settings["online"] is True
+
+
+def test_the_transform_takes_its_noise_from_the_kind_of_radar_unless_told(level: Pairs) -> None:
+    by_kind = checked("kalman-transform", level)
+    assert any(note.startswith("sd_m = ") for note in by_kind.sensors[0].notes)
+    told = checked("kalman-transform", level, options={"sd_m": "150"})
+    assert not any(note.startswith("sd_m = ") for note in told.sensors[0].notes)
+    assert told.settings["sd_m"] == 150.0
 
 
 def test_an_order_that_is_named_is_the_order_fitted(level: Pairs) -> None:

@@ -242,13 +242,15 @@ class _Layout:
 
 @dataclass(frozen=True, slots=True)
 class _State:
-    """What the iterations carry: the value, the variances, how much of the reference's variance is fast, scale and trust."""
+    """What the iterations carry: the value, the variances, how much of the reference's variance is fast, scale and trust; and
+    how they `ended`, in words."""
 
     value: FloatArray
     variances: mixed.Variances
     reference_share: float
     spread: FloatArray
     trust: FloatArray
+    ended: str = ""
 
 
 def fit(
@@ -323,6 +325,11 @@ def _kind(seen: Observed) -> _Kind:
 def typical_own(seen: Observed) -> dict[str, float]:
     """How much the errors that a target keeps for itself typically differ between targets (sd, SI), by the term they act as."""
     return {effect.term: effect.sd for effect in _kind(seen).levels[-1]}
+
+
+def typical_noise(seen: Observed) -> tuple[float, float, float]:
+    """The noise (sd, SI) of a plot in range, azimuth and elevation that is assumed before the data speak."""
+    return _kind(seen).noise
 
 
 def _delay_sd_m(seen: Observed) -> float | None:
@@ -475,7 +482,7 @@ def _robust_start(
     # What a plot varies by depends on the share, and the residuals' scale on that.
     share = _reference_share(whole, terms, value)
     spread = scale(in_threads(piece, slices(len(sample), CHUNK // 2)))
-    return _State(value, variances, share, spread, np.ones(len(layout.target)))
+    return _State(value, variances, share, spread, np.ones(len(layout.target)), _ended(done and not convex, number + 1))
 
 
 def _reference_share(seen: Observed, terms: tuple[Term, ...], value: FloatArray) -> float:
@@ -695,9 +702,14 @@ def _settle(
             _trust(reduced, solution, settings),
         )
         settled = np.all(np.abs(variances.noise / noise_before - 1) <= 0.02)
-        if number >= 2 and settled and np.all(np.abs(solution.value) <= 0.02 * np.sqrt(np.diag(solution.covariance))):
+        rests = bool(settled and np.all(np.abs(solution.value) <= 0.02 * np.sqrt(np.diag(solution.covariance))))
+        if number >= 2 and rests:
             break
-    return state
+    return replace(state, ended=_ended(rests, number + 1))
+
+
+def _ended(rests: bool, steps: int) -> str:
+    return f"{'converged' if rests else 'not converged'} after {steps} step{'' if steps == 1 else 's'}"
 
 
 def _whole(
@@ -943,7 +955,7 @@ def _finish(
     w = reduced.effects.shape[1]
     notes = []
     at = state.value / prior_sd
-    trusted = state.trust
+    trusted, ended = state.trust, state.ended
     terms_of_targets = reduced.terms * trusted[:, None, None]
     scores = mixed.Scores(terms_of_targets, terms_of_targets[:, :p, :p])
     plain_weight, plain_at = np.empty(len(seen)), start.value / prior_sd
@@ -959,7 +971,7 @@ def _finish(
             f"more than chance, p = {both.chance:.1g}): every plot counts for itself, and the sd follow the targets' scatter"
         )
         scores, honest, influence, weight = plain, both.plain_honest, plain_influence, plain_weight
-        at, step, trusted = plain_at, both.plain_step, start.trust
+        at, step, trusted, ended = plain_at, both.plain_step, start.trust, start.ended
     scale = np.outer(prior_sd, prior_sd)
     noise = np.full(3, np.nan)
     noise[:c] = np.sqrt(state.variances.noise)
@@ -970,6 +982,7 @@ def _finish(
     doubted = int((trusted < 0.5).sum())
     if doubted:
         notes.append(f"{doubted} of {len(state.trust)} targets differ from all others and have little weight")
+    notes += [f"inliers: {len(seen) - gone:,} of {len(seen):,}", f"how it ended: {ended}"]
     return Fit(
         terms=terms,
         value=(at + step) * prior_sd,

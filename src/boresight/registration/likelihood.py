@@ -148,7 +148,8 @@ class KalmanTransform(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     """A transform matrix from the surrounding traffic's offsets, followed in real time.
 
     A Kalman filter in its information form over the twelve entries of H, each `prior_sd_m` at first; what is older than
-    `memory_s` fades, so that H follows errors that change.  Plots have errors of `sd_m` an axis, those further than `gate_sd`
+    `memory_s` fades, so that H follows errors that change.  Plots have errors of `sd_m` an axis (0, where a calibration is made
+    of a radar's pairs: as its kind has at the median range), those further than `gate_sd`
     from what H says take no part, and `slot_s` seconds of them are taken in at once.
     """
 

@@ -21,7 +21,7 @@ from ..measure import enu_from_polar, position_from_height
 from ..model import Pairs, Sensor, Sensors
 from ..terms import TERMS, Term, term_of
 from . import register
-from .least_squares import LeastSquares, folds, typical_own
+from .least_squares import LeastSquares, folds, typical_noise, typical_own
 from .likelihood import SCALE_M, KalmanTransform, MaximumLikelihood, Transforms
 from .mean_shift import ExponentialAverage, Igmsr, MeanShift
 from .observe import CHUNK, Observed, Values, distances, look, observe, take, unusable
@@ -49,7 +49,7 @@ METHODS: dict[str, Method] = {
     "least-squares": LeastSquares(),
     "per-channel": PerChannel(),
     "maximum-likelihood": MaximumLikelihood(),
-    "kalman-transform": KalmanTransform(),
+    "kalman-transform": KalmanTransform(sd_m=0.0),
     "ransac-icp": RansacIcp(),
     "genetic": Genetic(),
     **{name: method for name, method in ONLINE.items() if isinstance(method, OnlineMethod)},
@@ -74,6 +74,8 @@ _FLOOR_POLAR = np.array([1e-3, 1e-8, 1e-8])
 _FLOOR_M = 1e-3
 # Rows from which the columns of a transform are told apart.
 _ROWS = 20_000
+# Plots that the likelihood is maximised on.
+_PLOTS = 60_000
 _SD_PER_MEDIAN = 1.4826
 
 
@@ -184,7 +186,11 @@ def register_with(
     pairs = pairs[usable]
     time = pairs.plots.time_s
     epoch = float(np.floor(time.min()))
-    job = _Job(method, model, epoch, np.r_[epoch, np.linspace(float(time.min()), float(time.max()), _EPOCHS + 1)[1:]])
+    epochs = np.r_[epoch, np.linspace(float(time.min()), float(time.max()), _EPOCHS + 1)[1:]]
+    job = _Job(method, model, epoch, np.unique(epochs))
+    if isinstance(method, LeastSquares):
+        job = job._replace(constant=register(pairs, sensors, model=model, settings=method))
+        warnings += job.constant.warnings if job.constant is not None else ()
     found: list[Calibration] = []
     failed: list[str] = []
     for key in np.unique(pairs.plots.sensor).tolist():
@@ -212,12 +218,16 @@ def register_with(
 
 
 class _Job(NamedTuple):
-    """What is to be done to each sensor: the method with its model, the epoch, and the epochs of errors over time."""
+    """What is to be done to each sensor: the method with its model, the epoch, and the epochs of errors over time.
+
+    `constant` is what least squares found of all sensors together, where the biases are followed beside it.
+    """
 
     method: Method
     model: str | Sequence[str]
     epoch_s: float
     epochs_s: FloatArray
+    constant: Calibration | None = None
 
 
 def _side_by_side(found: Sequence[Calibration]) -> Calibration:
@@ -243,7 +253,11 @@ def _one(job: _Job, pairs: Pairs, sensor: Sensor) -> Calibration:
     found = _fit(job, pairs, sensor)
     seen = observe(pairs, np.arange(len(pairs)), sensor, job.epoch_s)
     # The model that was found is what held-out targets judge, not the search for it.
-    again = job if job.model != "auto" or not isinstance(job.method, LeastSquares) else job._replace(model=_asked(found))
+    again = job
+    if isinstance(job.method, LeastSquares):
+        constant = _constant(job, pairs, sensor)
+        names = [name for key, name in zip(constant.terms, _asked(constant), strict=True) if key.sensor == sensor.key]
+        again = job._replace(constant=None, model=names)
     held, others = held_out(lambda some: _fit(again, some, sensor), pairs, seen)
     before, after = _distances(seen, None), _distances(seen, found)
     there = np.isfinite(held)
@@ -289,7 +303,7 @@ def _fit(job: _Job, pairs: Pairs, sensor: Sensor) -> Calibration:
     """The calibration of one sensor by the pairs (all of it, all usable), without its accuracy."""
     method = job.method
     if isinstance(method, LeastSquares):
-        return _least_squares_online(method, job, pairs, sensor)
+        return _least_squares_online(job, pairs, sensor)
     if isinstance(method, PerChannel):
         if job.model == "auto" and method.select == "none" and method.model == PerChannel().model:
             method = msgspec.structs.replace(method, select="bic")
@@ -391,7 +405,7 @@ def _untold(method: Method, found: Calibration, seen: Observed) -> dict[str, str
         # It says so itself.
         return {}
     name = name_of(method)
-    out = {"time_offset": f"{name} knows no time: what there is of it is in the other values and in the noise"}
+    out = {"time_offset": f"{name} has no term for late stamps: what there is of it is in the other values and in the noise"}
     if isinstance(method, PerChannel):
         out["time_offset"] = f"only models of the second order have it, and this one is {found.sensors[0].model}"
     if isinstance(method, RansacIcp | Genetic | KalmanTransform):
@@ -510,7 +524,8 @@ def _own(seen: Observed) -> FloatArray:
 
 
 # ---------------------------------------------------------------------------------------------------- maximum likelihood
-def _likeliest(method: MaximumLikelihood, seen: Observed) -> Calibration:
+def _likeliest(method: MaximumLikelihood, whole: Observed) -> Calibration:
+    seen = take(whole, _thin(np.arange(len(whole)), _PLOTS))
     _, difference, _ = look(seen, slice(None), (), np.zeros(0))
     missing: dict[str, str] = {}
     if seen.has_elevation and not _with_elevation(seen):
@@ -528,10 +543,11 @@ def _likeliest(method: MaximumLikelihood, seen: Observed) -> Calibration:
         influence, difference[rows][:, axes] - found.value[axes], np.diag(own[axes] ** 2), mine, _FLOOR_POLAR[axes]
     )
     notes = [_inliers(found.inliers, len(seen)), f"how it ended: {found.ended} after {found.iterations} steps"]
+    if len(seen) < len(whole):
+        notes.append(f"estimated on {len(seen):,} of {len(whole):,} plots, evenly taken: more would tell no more of the targets")
     names = [BIASES[c] for c in axes]
-    return _calibration(
-        seen, names, np.array([seen.epoch_s]), found.value[None, axes], covariance[None], "polar bias", notes, missing
-    )
+    epoch = np.array([seen.epoch_s])
+    return _calibration(whole, names, epoch, found.value[None, axes], covariance[None], "polar bias", notes, missing)
 
 
 # ------------------------------------------------------------------------------------------------- rigid and affine transforms
@@ -587,6 +603,10 @@ def _transformed(method: RansacIcp | Genetic | KalmanTransform, job: _Job, seen:
     if not placed.any():
         raise NothingToDo(f"sensor {seen.sensor.name!r}: no plot can be placed")
     if isinstance(method, KalmanTransform):
+        if not method.sd_m:
+            sd = typical_noise(seen)
+            method = msgspec.structs.replace(method, sd_m=float(max(sd[0], sd[1] * np.median(seen.measured[:, 0]))))
+            notes.append(f"sd_m = {method.sd_m:.3g}, as plots of such a radar have at the median range")
         transforms = method(clouds, np.where(placed, seen.time_s, np.nan))
         notes += [_inliers(transforms.inliers, len(seen)), f"how it ended: {transforms.ended}"]
         return _affine(method, job, seen, clouds, transforms, names, level, notes, missing)
@@ -607,8 +627,8 @@ def _own_m2(seen: Observed, axes: int) -> FloatArray:
     return np.asarray((own[0] ** 2 + (own[1] * float(np.median(seen.measured[:, 0]))) ** 2) * np.eye(axes))
 
 
-def _thin(rows: IntArray) -> IntArray:
-    return rows[:: max(1, -(-len(rows) // _ROWS))]
+def _thin(rows: IntArray, most: int) -> IntArray:
+    return rows[:: max(1, -(-len(rows) // most))]
 
 
 def _rigid(
@@ -719,7 +739,7 @@ def _affine(
     spread = spread / np.array([SCALE_M] * 3 + [1.0])[:, None] / np.array([SCALE_M] * 3 + [1.0])
     covariance = np.einsum("pij,kjl,qil->kpq", linear, spread, linear)
     # Of the terms among each other: their columns on these pairs, as many of them as the filter remembers at a time.
-    typical = displacement(names, clouds.reference[_thin(rows)])[:, :axes]
+    typical = displacement(names, clouds.reference[_thin(rows, _ROWS)])[:, :axes]
     gram = np.einsum("nci,ncj->ij", typical, typical)
     prior = _prior(method, names)
     size, basis = np.linalg.eigh(covariance / prior[:, None] / prior)
@@ -782,12 +802,34 @@ def _as_inliers(notes: Sequence[str]) -> list[str]:
     return [f"inliers: {note}" if " samples agree within " in note else note for note in notes]
 
 
-def _least_squares_online(method: LeastSquares, job: _Job, pairs: Pairs, sensor: Sensor) -> Calibration:
+def _constant(job: _Job, pairs: Pairs, sensor: Sensor) -> Calibration:
+    """What least squares finds of one sensor's constant errors: as of all together, or by these pairs alone.
+
+    Raises NothingToDo where it can tell none.
+    """
+    assert isinstance(job.method, LeastSquares)
+    found = job.constant
+    if found is None:
+        return register(pairs, Sensors((sensor,)), model=job.model, settings=job.method)
+    keep = np.array([key.sensor == sensor.key for key in found.terms])
+    if not keep.any():
+        raise NothingToDo(f"sensor {sensor.name!r}: least squares tells none of its errors")
+    return replace(
+        found,
+        terms=tuple(key for key in found.terms if key.sensor == sensor.key),
+        value=found.value[:, keep],
+        covariance=found.covariance[:, keep][:, :, keep],
+        sensors=tuple(s for s in found.sensors if s.sensor == sensor.key),
+        not_determined=tuple(n for n in found.not_determined if n.sensor == sensor.key),
+        warnings=(),
+    )
+
+
+def _least_squares_online(job: _Job, pairs: Pairs, sensor: Sensor) -> Calibration:
     """Constant terms by least squares, and beside them the biases over time by a Kalman bank."""
-    constant = register(pairs, Sensors((sensor,)), model=job.model, settings=method)
+    constant = _constant(job, pairs, sensor)
     # What is not to be applied is not to be taken out before the biases are followed either.
-    beside = advised(constant)
-    beside = replace(beside, epoch_s=np.array([job.epoch_s]))
+    beside = replace(advised(constant), epoch_s=np.array([job.epoch_s]))
     found = _followed(KalmanBank(), job, pairs, sensor, beside)
     first, own = constant.sensors[0], found.sensors[0]
     there = {(key.channel, key.name) for key in found.terms}
@@ -808,4 +850,4 @@ def _least_squares_online(method: LeastSquares, job: _Job, pairs: Pairs, sensor:
     )
     told = {key.name for key in found.terms}
     missing = {n.term: n for n in (*constant.not_determined, *found.not_determined) if n.term not in told}
-    return replace(found, sensors=(summary,), not_determined=tuple(missing.values()), warnings=constant.warnings)
+    return replace(found, sensors=(summary,), not_determined=tuple(missing.values()))
