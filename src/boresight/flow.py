@@ -361,6 +361,12 @@ def _against_main(measured: Plots, settings: Settings, way: _Way, warnings: list
         measured, sensors, main, target=shared.target, gap_s=a.reference_gap_s or max(15.0, 1.5 * (main.scan_s or 0.0)),
         window=window,
     )  # fmt: skip
+    for sensor in sensors:
+        if sensor.key not in samples and sensor.key != main.key and (measured.sensor == sensor.key).any():
+            warnings.append(
+                f"{sensor.name} is left out: it and {main.name} have no target in common, or differ in all by more than "
+                f"{window[0]:,.0f} m or {math.degrees(window[1]):g}° (--associate-option range_window_m=…, azimuth_window_deg=…)"
+            )
     found = register_relative(samples, sensors, main, method=way.follows, terms=way.terms)
     pairs = pairs_against(measured, sensors, main, shared.target)
     names = {}

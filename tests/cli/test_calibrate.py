@@ -183,6 +183,9 @@ def test_radars_without_a_reference_are_set_against_a_main_one(scene: Path, rela
     assert "compared with R, S measures ranges" in page
     assert (relative / "biases.csv").read_text().startswith("time,sensor,term,value,sd,unit\n")
     assert flow.verify(relative).exact
+    shutil.copytree(relative, tmp_path / "changed")
+    (tmp_path / "changed" / "biases.csv").write_text("time\n")
+    assert flow.verify(tmp_path / "changed").changed == ("biases.csv",)
     # So corrected, S agrees with R: nothing is left between them.
     code, _, err = run("correct", scene / "S.ast", "--calibration", relative, "--out", tmp_path / "S.ast", "--date", "2026-03-01")
     assert (code, "relative to R: corrected plots agree with it" in err) == (0, True)
@@ -230,6 +233,7 @@ def test_one_radar_and_no_reference(scene: Path) -> None:
     said = mistake(*alone(scene, "R"))
     assert "one radar only, 'R'" in said
     assert "--reference" in said
+    assert "no plot of the main radar 'S'" in mistake(*alone(scene, "R"), "--main", "S")
 
 
 def test_options_that_make_no_sense_are_told_before_anything_is_read(scene: Path) -> None:

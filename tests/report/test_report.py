@@ -289,6 +289,54 @@ def test_every_method_and_every_setting_of_it_is_explained() -> None:
     assert set(METHODS_ABOUT) == set(METHODS)
 
 
+def test_errors_over_time_are_drawn_and_their_span_told(scene: Scene) -> None:
+    from boresight.report.over_time import bias_figure
+
+    static = scene.calibration
+    key = static.terms[0].sensor
+    assert bias_figure(static, None, key, "none") is None
+    k = 5
+    growing = np.linspace(0.5, 1.5, k)[:, None] * static.value
+    growing[:, 1] = static.value[0, 1]
+    known = np.where(np.arange(k) == 0, 100.0, 1.0)[:, None, None] * static.covariance
+    known[:, 1] = static.covariance[0, 1]
+    known[:, :, 1] = static.covariance[0, :, 1]
+    over_time = replace(
+        static, epoch_s=static.epoch_s + 60.0 * np.arange(k), value=growing, covariance=known, settings={"method": "kalman-bank"}
+    )
+    drawn = bias_figure(over_time, None, key, "over")
+    assert drawn is not None
+    assert "95" in drawn.svg
+    rows = {row.name: row for row in rows_of(over_time, over_time.sensors[0], {})}
+    assert rows[static.terms[1].name].over == ""
+    # The first epoch, which is hardly known, is not part of the span.
+    low, high = (float(v.replace("\u2212", "-")) for v in rows["range_bias"].over.split(" … "))
+    np.testing.assert_allclose((low, high), np.array([0.75, 1.5]) * static.value[0, 0], rtol=0.02)
+    first, _ = verdict(over_time, over_time.sensors[0])
+    assert first.startswith("At the end of the recording, Alpha ")
+    text = render(over_time, scene.residuals, scene.sensors, title="x")
+    assert "a bank of Kalman filters" in text
+    assert "the newest of 5 epochs" in text
+
+
+def test_a_turned_picture_is_said_in_words(scene: Scene) -> None:
+    from boresight.calibration import TermKey
+
+    static = scene.calibration
+    key = static.terms[0].sensor
+    names = ("rotation_up", "rotation_east", "rotation_north")
+    turned = replace(
+        static,
+        terms=tuple(TermKey(key, "all", name, "deg") for name in names),
+        value=np.radians([[0.5, -0.2, 0.3]]),
+        covariance=np.radians(0.01) ** 2 * np.eye(3)[None],
+    )
+    first, _ = verdict(turned, static.sensors[0])
+    assert "turns the picture 0.500° anticlockwise" in first
+    assert "turns the picture 0.200° about the east axis (down in the north)" in first
+    assert "turns the picture 0.300° about the north axis (down in the east)" in first
+
+
 def test_verdict_says_direction_and_what_is_not_distinguishable(scene: Scene) -> None:
     summary = scene.calibration.sensors[0]
     first, second = verdict(scene.calibration, summary)

@@ -546,7 +546,12 @@ def _relative(calibration: Calibration) -> dict[str, Any] | None:
 def _method(calibration: Calibration) -> dict[str, str] | None:
     """The name of the method, and what it is in a sentence; None for a calibration that does not tell."""
     name = calibration.settings.get("method")
-    return {"name": name, "about": METHODS_ABOUT[name]} if isinstance(name, str) and name in METHODS_ABOUT else None
+    if not isinstance(name, str) or name not in METHODS_ABOUT:
+        return None
+    about = METHODS_ABOUT[name]
+    if name == "least-squares" and calibration.settings.get("online"):
+        about = f"{about[:-1]}; range, azimuth and elevation bias are then followed over time by a bank of Kalman filters."
+    return {"name": name, "about": about}
 
 
 def gain_text(summary: Summary, against: str = "the reference") -> str:
