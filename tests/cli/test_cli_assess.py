@@ -167,6 +167,26 @@ def test_heavy_outliers_leave_the_histogram_to_the_rest(run: Run, tmp_path: Path
     assert "2 lie outside the histogram" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("json_too", [(), ("--json",)])
+def test_an_example_of_a_requirement_is_never_taken_for_the_document(
+    result: Path, run: Run, tmp_path: Path, json_too: tuple[str, ...]
+) -> None:
+    sensors = tmp_path / "sensors.toml"
+    sensors.write_text(
+        "".join(
+            f'[[sensor]]\nname = "radar {k}"\nid = {k}\nlat_deg = 50.0\nlon_deg = 8.0\nheight_m = 100.0\nkind = "mode_s"\n'
+            for k in (1, 2)
+        )
+    )
+    status, out, err = run(
+        "assess", "requirement", str(result), "--requirement", "eurocontrol-sur-1997", "--sensors", str(sensors), *json_too
+    )
+    assert status == 0, err
+    assert "(example)" in out
+    assert "is marked as an example" in err
+    assert "Compare them with the document before a verdict is handed on" in err
+
+
 # ------------------------------------------------------------------------------------------------------------- samples of pages
 def printed(page: str) -> list[tuple[list[str], str, list[str]]]:
     """Of a page that shows the demo: its commands in order, and of the output the lines that the page prints (without "…")."""

@@ -77,11 +77,15 @@ def requirement(
         save_conformity(verdicts, out)
     if json:
         print_json({"conformity": conformity_json(verdicts)})
-        return
-    print(conformity_text(verdicts))
+    else:
+        print(conformity_text(verdicts))
     if wanted.example:
-        print(f"\nwarning: {wanted.name} is marked as an example: {wanted.note or 'its figures are vouched for by nobody'}",
-              file=sys.stderr)  # fmt: skip
+        note = (wanted.note or "its figures are vouched for by nobody").rstrip(". ")
+        print(
+            f"\nwarning: {wanted.name} is marked as an example: {note}. "
+            "Compare them with the document before a verdict is handed on.",
+            file=sys.stderr,
+        )
 
 
 @assess.command
