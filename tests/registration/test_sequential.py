@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 import re
 from pathlib import Path
@@ -62,6 +63,59 @@ def test_one_member_without_robustness_is_a_kalman_filter() -> None:
             x, p = x + gain[:, 0] * (z[k] - x[0]), (np.eye(2) - gain @ h) @ p
         assert found.value[0, k] == pytest.approx(x[0], rel=1e-9)
         assert found.variance[0, k] == pytest.approx(p[0, 0], rel=1e-9)
+
+
+def test_one_member_with_targets_of_their_own_is_a_kalman_filter() -> None:
+    """Against the plain filter of bias, rate and one fading offset a target."""
+    rng = np.random.default_rng(2)
+    t = np.cumsum(rng.uniform(0.5, 2.0, 120))
+    z, r, who = rng.normal(size=120) * 3.0, np.full(120, 1.5), rng.integers(0, 4, 120)
+    bank = KalmanBank(memory_s=(25.0, 25.0), members=1, huber=1e6, reject=1e6, streak=1000)
+    found = bank(t, z[None], r, t, who, np.array([4.0]))
+    q = 1.5 * np.diff(t).mean() / 25.0**4
+    # Of the bias nothing is known before the first sample.
+    x, p, last = np.zeros(6), np.diag([1e12, 1.5 / 25.0**2, 4.0, 4.0, 4.0, 4.0]), np.full(4, t[0])
+    for k in range(120):
+        f = np.eye(6)
+        f[0, 1] = t[k] - t[k - 1] if k else 0.0
+        dt = f[0, 1]
+        x, p = f @ x, f @ p @ f.T
+        p[:2, :2] += q * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+        stay = np.diag([1.0, 1.0, *np.exp(-(t[k] - last) / 600.0)])
+        x, p = stay @ x, stay @ p @ stay
+        p[2:, 2:] += np.diag(4.0 * (1 - np.diag(stay)[2:] ** 2))
+        last[:] = t[k]
+        h = np.zeros(6)
+        h[0] = h[2 + who[k]] = 1.0
+        gain = p @ h / (h @ p @ h + r[k])
+        x, p = x + gain * (z[k] - h @ x), p - np.outer(gain, h @ p)
+        assert found.value[0, k] == pytest.approx(x[0], rel=1e-4, abs=1e-4)
+        assert found.variance[0, k] == pytest.approx(p[0, 0], rel=1e-3)
+
+
+def test_a_step_of_the_bias_is_told_from_targets_that_come_and_go() -> None:
+    """Twenty targets with errors of their own, ten at a time, a bias that goes to and fro and steps: followed, and honestly."""
+    wrong, steps = [], []
+    for seed in range(6):
+        rng = np.random.default_rng([seed, 77])
+        t = np.arange(0.0, 3600.0, 0.5)
+        who = (np.arange(len(t)) % 10) + 10 * (t > 1800)
+        truth = 100 + 40 * np.sin(2 * np.pi * t / 1800) - 80 * (t > 2400)
+        own = rng.normal(size=20) * 15
+        z = np.full((len(t), 3), np.nan)
+        z[:, 0] = truth + own[who] + rng.normal(size=len(t)) * 20
+        z[:, 1] = rng.normal(size=len(t)) * 1e-3
+        mine = samples(z, (20.0, 1e-3, np.nan), step_s=0.5)
+        found = register_online(dataclasses.replace(mine, target=who), MAIN, step_s=10.0)
+        got, sd = value(found, "range_bias", MAIN.key)
+        off = got - np.interp(found.epoch_s - found.epoch_s[0], t, truth)
+        settled = found.epoch_s - found.epoch_s[0] > 300
+        wrong.append(np.mean((off / sd)[settled] ** 2))
+        after = np.abs(found.epoch_s - found.epoch_s[0] - 2430) < 1
+        steps.append(np.abs(off[after]).max())
+    assert 0.4 < np.mean(wrong) < 2.0
+    # Half a minute after a step of 80 m what is left is what the targets' own errors leave.
+    assert np.mean(steps) < 15
 
 
 @pytest.mark.parametrize(("period", "high"), [(np.inf, 1.1), (1600.0, 1.3), (400.0, 1.4)])

@@ -15,7 +15,7 @@ import numpy as np
 
 from .._jit import kernel
 from .._parallel import in_threads, slices
-from .._types import BoolArray, FloatArray
+from .._types import BoolArray, FloatArray, IntArray
 from ..calibration import Accuracy, Calibration, Noise, NotDetermined, Summary, TermKey
 from ..errors import NothingToDo, SettingsError
 from ..filters.alpha_beta import AlphaBeta, alpha_beta_covariance, alpha_beta_filter
@@ -39,15 +39,22 @@ BIASES = ("range_bias", "azimuth_bias", "elevation_bias")
 _LEAST = 5
 _AGREE = 0.5
 _INLIER_SD = 3.0
-_GROSS_SD = 8.0
 # A member of the bank remembers at least so many samples that are worth something of their own.
 _TELLING = 15.0
+# And so many turns of the antenna.
+_TURNS = 3.0
+# Of so many targets at a time offsets are followed (of more, the mean is well known); a target's own errors fade with this time.
+_SLOTS = 64
+_FADE_S = 600.0
+_MINUTE_S = 60.0
 _EPOCHS = 400
 _BLOCK_S = 300.0
 # Below this condition number the absolute biases of both radars show in their differences.
 _NETWORK = 100.0
 # A normal variable's sd over its median absolute value.
 _SD_PER_MEDIAN = 1.4826
+# The median of the square of a normal variable.
+_MEDIAN_CHI2 = 0.4549
 # The floor under a variance that the samples do not show: metres and radians.
 _FLOOR = np.array([1e-3, 1e-8, 1e-8])
 
@@ -69,8 +76,21 @@ class KalmanBank(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     reject: float = 5.0
     streak: int = 5
 
-    def __call__(self, time_s: FloatArray, value: FloatArray, variance: FloatArray, epoch_s: FloatArray) -> Estimate:
-        """See `Online`."""
+    def __call__(
+        self,
+        time_s: FloatArray,
+        value: FloatArray,
+        variance: FloatArray,
+        epoch_s: FloatArray,
+        target: IntArray | None = None,
+        own: FloatArray | None = None,
+    ) -> Estimate:
+        """See `Online`.
+
+        With `target` (n,) and `own` (m,), variances, the samples of a target share an error of their own, which fades within ten
+        minutes: every filter then has a state for each of the targets seen last.  What changes for all targets at once is the
+        bias, and followed as fast as ever; its level is averaged over targets.
+        """
         low, high = self.memory_s
         if not (0 < low <= high) or self.members < 1 or not self.judged_s > 0 or not 0 < self.huber <= self.reject:
             raise SettingsError(
@@ -80,16 +100,20 @@ class KalmanBank(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise SettingsError(f"streak = {self.streak} takes every outlier for a step", where="kalman-bank", remedy="Give 5.")
         t, z, r, e = checked(time_s, value, variance, epoch_s, "kalman-bank")
         memory = np.geomspace(low, high, self.members)
+        whose, shared = np.zeros(len(t), np.int64), np.zeros(len(z))
+        if target is not None and own is not None:
+            whose, shared = np.ascontiguousarray(target, np.int64), np.ascontiguousarray(own, np.float64)
 
         def part(rows: slice) -> Estimate:
-            own, noise = np.ascontiguousarray(z[rows]), np.ascontiguousarray(r[rows])
+            mine, noise = np.ascontiguousarray(z[rows]), np.ascontiguousarray(r[rows])
             # A trend filter whose rate walks by q remembers (r / q)^(1/4), with r the samples' variance times their spacing.
-            walk = np.array([_density(t, a, b) for a, b in zip(own, noise, strict=True)])[:, None] / memory**4
-            out, spread = np.full((len(own), len(e)), np.nan), np.full((len(own), len(e)), np.nan)
-            _bank(t, own, noise, e, memory, walk, self.judged_s, self.huber, self.reject, self.streak, out, spread)
-            return Estimate(out, spread, np.zeros(len(own), np.int64))
+            walk = np.array([_density(t, a, b) for a, b in zip(mine, noise, strict=True)])[:, None] / memory**4
+            out, spread = np.full((len(mine), len(e)), np.nan), np.full((len(mine), len(e)), np.nan)
+            limits = self.judged_s, self.huber, self.reject, self.streak
+            _bank(t, mine, noise, whose, shared[rows], e, memory, walk, *limits, _SLOTS, _FADE_S, out, spread)
+            return Estimate(out, spread, np.zeros(len(mine), np.int64))
 
-        return joined(in_threads(part, slices(len(z), 8)))
+        return joined(in_threads(part, slices(len(z), 1 if shared.any() else 8)))
 
     def no_faster(self, memory_s: float) -> KalmanBank:
         """The bank with no member that remembers less than so many seconds."""
@@ -208,6 +232,8 @@ def _bank(
     time: FloatArray,
     value: FloatArray,
     variance: FloatArray,
+    target: IntArray,
+    own: FloatArray,
     epoch: FloatArray,
     memory: FloatArray,
     walk: FloatArray,
@@ -215,15 +241,22 @@ def _bank(
     huber: float,
     reject: float,
     streak: int,
+    slots: int,
+    fade: float,
     out: FloatArray,
     spread: FloatArray,
 ) -> None:
-    """Fill mixed biases (m, k) and variances (m, k) at the epochs; `walk` (m, j) is the rates' noise (value^2 / s^3)."""
+    """Fill mixed biases (m, k) and variances (m, k) at the epochs; `walk` (m, j) is the rates' noise (value^2 / s^3).
+
+    The state is the bias, its rate, and with `own` (m,) variances the offsets of at most `slots` targets.
+    """
     members = len(memory)
-    b, d = np.zeros(members), np.zeros(members)
-    p00, p01, p11 = np.zeros(members), np.zeros(members), np.zeros(members)
     score, run, far = np.zeros(members), np.zeros(members), np.zeros((members, streak))
     for s in range(value.shape[0]):
+        wide = slots if own[s] > 0.0 else 0
+        x, p = np.zeros((members, 2 + wide)), np.zeros((members, 2 + wide, 2 + wide))
+        hp, gain = np.zeros(2 + wide), np.zeros(2 + wide)
+        holder, last, used = np.zeros(wide, np.int64), np.zeros(wide), 0
         begun, at, i = False, 0.0, 0
         for k in range(len(epoch)):
             while i < len(time) and time[i] <= epoch[k]:
@@ -231,22 +264,61 @@ def _bank(
                 i += 1
                 if np.isnan(z):
                     continue
+                c = -1
+                if wide:
+                    for g in range(used):
+                        if holder[g] == target[i - 1]:
+                            c = g
+                    if c < 0:
+                        # A target that is new takes the place of the one that was not seen for longest.
+                        if used < wide:
+                            c, used = used, used + 1
+                        else:
+                            c = int(np.argmin(last))
+                        stay, fresh = 0.0, own[s]
+                        holder[c] = target[i - 1]
+                    else:
+                        stay = np.exp(-(t - last[c]) / fade)
+                        fresh = (1.0 - stay * stay) * own[s]
+                    last[c], c = t, c + 2
+                    for j in range(members):
+                        x[j, c] *= stay
+                        for g in range(2 + used):
+                            p[j, c, g] *= stay
+                            p[j, g, c] = p[j, c, g]
+                        p[j, c, c] = p[j, c, c] * stay + fresh
                 if not begun:
                     begun, at = True, t
                     for j in range(members):
-                        b[j], d[j], score[j], run[j] = z, 0.0, 0.0, 0.0
-                        p00[j], p01[j], p11[j] = r, 0.0, r / memory[j] ** 2
+                        x[j, 0], x[j, 1], score[j], run[j] = z, 0.0, 0.0, 0.0
+                        p[j, 0, 0], p[j, 0, 1], p[j, 1, 0], p[j, 1, 1] = r, 0.0, 0.0, r / memory[j] ** 2
+                        if c >= 0:
+                            p[j, 0, 0] += own[s]
+                            p[j, 0, c] = p[j, c, 0] = -own[s]
                     continue
                 dt, at = t - at, t
                 forget, top = np.exp(-dt / judged), -np.inf
                 for j in range(members):
                     q = walk[s, j]
-                    b[j] += dt * d[j]
-                    p00[j] += dt * (2 * p01[j] + dt * p11[j]) + q * dt**3 / 3
-                    p01[j] += dt * p11[j] + q * dt**2 / 2
-                    p11[j] += q * dt
-                    size = p00[j] + r
-                    y = z - b[j]
+                    x[j, 0] += dt * x[j, 1]
+                    p[j, 0, 0] += dt * (2 * p[j, 0, 1] + dt * p[j, 1, 1]) + q * dt**3 / 3
+                    p[j, 0, 1] += dt * p[j, 1, 1] + q * dt**2 / 2
+                    p[j, 1, 0] = p[j, 0, 1]
+                    p[j, 1, 1] += q * dt
+                    for g in range(2, 2 + used):
+                        p[j, 0, g] += dt * p[j, 1, g]
+                        p[j, g, 0] = p[j, 0, g]
+                    offset = 0.0
+                    for g in range(2 + used):
+                        hp[g] = p[j, g, 0]
+                    size = hp[0]
+                    if c >= 0:
+                        offset = x[j, c]
+                        for g in range(2 + used):
+                            hp[g] += p[j, g, c]
+                        size = hp[0] + hp[c]
+                    size += r
+                    y = z - x[j, 0] - offset
                     v = y / np.sqrt(size)
                     a = abs(v)
                     loss = 0.5 * v * v if a <= huber else huber * min(a, reject) - 0.5 * huber * huber
@@ -256,22 +328,24 @@ def _bank(
                     if a > 3.0:
                         side = 1.0 if v > 0 else -1.0
                         run[j] = run[j] + side if run[j] * side >= 0 else side
-                        far[j, int(abs(run[j])) - 1] = z
+                        far[j, int(abs(run[j])) - 1] = z - offset
                     else:
                         run[j] = np.sign(run[j]) * max(abs(run[j]) - 1.0, 0.0)
                     if abs(run[j]) >= streak:
                         # The step's new level may have its outliers too.
-                        b[j], run[j], weight = np.median(far[j]), 0.0, 0.0
-                        p00[j], p01[j] = 0.5 * np.pi * r / streak, 0.0
-                        p11[j] += r / memory[j] ** 2
+                        x[j, 0], run[j], weight = np.median(far[j]), 0.0, 0.0
+                        p[j, 0, 0] = 0.5 * np.pi * (r + own[s]) / streak
+                        for g in range(1, 2 + used):
+                            p[j, 0, g] = p[j, g, 0] = 0.0
+                        p[j, 1, 1] += r / memory[j] ** 2
                     if weight > 0.0:
-                        gain = 1.0 / (p00[j] + r / weight)
-                        k0, k1 = p00[j] * gain, p01[j] * gain
-                        b[j] += k0 * y
-                        d[j] += k1 * y
-                        p11[j] -= k1 * p01[j]
-                        p01[j] -= k0 * p01[j]
-                        p00[j] -= k0 * p00[j]
+                        total = size - r + r / weight
+                        for g in range(2 + used):
+                            gain[g] = hp[g] / total
+                            x[j, g] += gain[g] * y
+                        for g in range(2 + used):
+                            for h in range(2 + used):
+                                p[j, g, h] -= gain[g] * hp[h]
                     top = max(top, score[j])
                 for j in range(members):
                     # None is ruled out for good: the law of change may change.
@@ -282,11 +356,11 @@ def _bank(
             for j in range(members):
                 w = np.exp(score[j])
                 total += w
-                mean += w * (b[j] + ahead * d[j])
+                mean += w * (x[j, 0] + ahead * x[j, 1])
             mean /= total
             for j in range(members):
-                p = p00[j] + ahead * (2 * p01[j] + ahead * p11[j]) + walk[s, j] * ahead**3 / 3
-                square += np.exp(score[j]) / total * (p + (b[j] + ahead * d[j] - mean) ** 2)
+                ours = p[j, 0, 0] + ahead * (2 * p[j, 0, 1] + ahead * p[j, 1, 1]) + walk[s, j] * ahead**3 / 3
+                square += np.exp(score[j]) / total * (ours + (x[j, 0] + ahead * x[j, 1] - mean) ** 2)
             out[s, k], spread[s, k] = mean, square
 
 
@@ -551,23 +625,29 @@ def _follow(
             value = shown[c] if c == 0 else shown[c] / DEG
             notes.append(f"{BIASES[c]}: samples scatter by {value:.3g} {unit}, {wider[c]:.1f} times what their sd say")
     r = np.maximum(variance * wider**2, _FLOOR**2)
-    shared = _sharing(mine, z, r)
     if isinstance(method, KalmanBank):
-        # Who remembers a dozen samples' worth follows their noise, and through a gap nothing at all.
-        method = method.no_faster(_TELLING * float(shared.max()) * _spacing(mine.time_s))
-    used = z.T[known]
-    if (shared > 1.0).any():
-        # What is an outlier is a matter of a sample's own noise, how much it tells of all that it shares.
-        first = method(mine.time_s, used, r.T[known], epochs)
-        gross = ~_agreeing(mine.time_s, used, r.T[known], epochs, _held_back(first.value), _GROSS_SD)
-        used = np.where(gross, np.nan, used)
-    found = method(mine.time_s, used, (r * shared).T[known], epochs)
-    value, spread = _held_back(found.value), _held_back(found.variance)
+        # Who remembers a dozen samples follows their noise, through a gap nothing at all, and within a turn single targets.
+        method = method.no_faster(max(_TELLING * _spacing(mine.time_s), _TURNS * _revisit(mine)))
+    found = method(mine.time_s, z.T[known], r.T[known], epochs)
+    own, within, memory = _own(mine, z, r, known, epochs, _held_back(found.value))
+    extra = np.zeros(len(epochs))
+    if (own > 0).any():
+        if isinstance(method, KalmanBank) and _present(mine, epochs, _FADE_S).max() <= _SLOTS:
+            method = method.no_faster(_TELLING * _spacing(mine.time_s) * memory)
+            found = method(mine.time_s, z.T[known], within, epochs, mine.target, own)
+        else:
+            # A target's own errors do not average out while it is there: only other targets do.
+            extra = 1 / _present(mine, epochs, _BLOCK_S)
+    value = _held_back(found.value)
+    spread = _held_back(found.variance + own[:, None] * extra)
     inlier = _agreeing(mine.time_s, z.T[known], r.T[known], epochs, value, _INLIER_SD)
     for j, c in enumerate(known):
         count, agree = int(np.isfinite(z[:, c]).sum()), int(inlier[j].sum())
         ended = "" if not found.missed[j] else f"; at {found.missed[j]:,} of {len(epochs):,} epochs the search did not settle"
-        what = f", each counted for {1 / shared[c]:.2g}, because samples of one target share errors" if shared[c] > 1.2 else ""
+        what = ""
+        if own[j] > 0:
+            size = f"{np.sqrt(own[j]):.3g} m" if c == 0 else f"{np.sqrt(own[j]) / DEG:.3g} deg"
+            what = f"; samples of one target share errors of {size}, which only other targets average out"
         notes.append(f"{BIASES[c]}: {agree:,} of {count:,} samples agree within {_INLIER_SD:g} sd{what}{ended}")
         if agree < _AGREE * count:
             notes.append(
@@ -610,35 +690,83 @@ def _held_back(value: FloatArray) -> FloatArray:
     return out
 
 
-def _sharing(samples: Samples, value: FloatArray, variance: FloatArray) -> FloatArray:
-    """By how much (3,) the mean of one target's samples over a block of time scatters more than white noise would have it.
+def _own(
+    samples: Samples, value: FloatArray, variance: FloatArray, known: list[int], epochs: FloatArray, found: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """The variance (m,) of what the samples of a target share, beside the bias (m, k) that was found, and without it (m, n).
 
-    Medians over blocks of the squared difference of neighbouring targets' means, over what their samples' variances give.
+    The last is how many samples tell as much as one would if their noise had no memory.
+
+    Medians over blocks of minutes of the squared difference of neighbouring targets' means, less what their noise gives.
     """
-    out = np.ones(3)
+    own, within = np.zeros(len(known)), np.ascontiguousarray(variance.T[known])
     if not len(samples) or (samples.target < 0).any():
-        return out
+        return own, within, 1.0
     block = np.floor((samples.time_s - samples.time_s[0]) / _BLOCK_S).astype(np.int64)
     _, group = np.unique(np.stack([block, samples.target]), axis=1, return_inverse=True)
     groups = int(group.max()) + 1
     own_block = np.zeros(groups, np.int64)
     own_block[group] = block
-    for c in range(3):
-        seen = np.isfinite(value[:, c])
-        # Clipped about the median, so that an outlier does not make its target different.
-        middle = np.median(value[seen, c]) if seen.any() else 0.0
+    order = np.lexsort((samples.time_s, samples.target))
+    same = np.diff(samples.target[order]) == 0
+    longest = 1.0
+    slot = np.floor((samples.time_s - samples.time_s[0]) / _MINUTE_S).astype(np.int64)
+    minutes, minute = np.unique(np.stack([samples.target, slot]), axis=1, return_inverse=True)
+    for j, c in enumerate(known):
+        left = value[:, c] - np.interp(samples.time_s, epochs, found[j])
+        seen = np.isfinite(left)
         number = np.bincount(group[seen], minlength=groups).astype(np.float64)
-        total = np.bincount(group[seen], value[seen, c] - middle, groups)
-        noise = np.bincount(group[seen], variance[seen, c], groups)
+        total = np.bincount(group[seen], left[seen], groups)
+        # What one sample of a target differs from its next by is its noise; what a minute differs from the next, its memory.
+        step = np.diff(left[order])[same & np.isfinite(np.diff(left[order]))]
+        usual = float(np.median(variance[seen, c]))
+        noise = _SD_PER_MEDIAN**2 * float(np.median(step**2)) / 2 if len(step) >= 8 else usual
+        share = min(max(noise / usual, 1e-4), 1.0)
+        memory = _memory(left, share * usual, minute, minutes)
         with np.errstate(divide="ignore", invalid="ignore"):
-            mean, spread = total / number, noise / number**2
-        # Only targets of one block can be compared: over time the bias itself changes.
+            mean, white = total / number, share * memory * usual / number
         near = (own_block[1:] == own_block[:-1]) & (number[1:] >= 5) & (number[:-1] >= 5)
         if near.sum() >= 8:
-            ratio = np.diff(mean)[near] ** 2 / (spread[1:] + spread[:-1])[near]
-            out[c] = max(float(np.median(ratio)) / 0.4549, 1.0)
-    # What the median of squares of normal variables says is itself uncertain.
-    return np.where(out < 2.0, 1.0, out)
+            both = (white[1:] + white[:-1])[near]
+            ratio = float(np.median(np.diff(mean)[near] ** 2 / both)) / _MEDIAN_CHI2
+            # What the median of squares of normal variables says is itself uncertain: by 2.33 over the root of their number.
+            if ratio > 1.0 + 2 * 2.33 / np.sqrt(near.sum()):
+                own[j] = (ratio - 1.0) * float(np.median(both)) / 2
+                within[j] *= share * memory
+                longest = max(longest, memory)
+    return own, within, longest
+
+
+def _memory(left: FloatArray, noise: float, minute: IntArray, minutes: IntArray) -> float:
+    """By how much the means over one target's neighbouring minutes differ more than white noise would have it, at least 1.
+
+    `left` (n,) with the number of each one's minute (n,); `minutes` (2, m) are the target and the slot of time of each.
+    """
+    seen = np.isfinite(left)
+    number = np.bincount(minute[seen], minlength=minutes.shape[1]).astype(np.float64)
+    total = np.bincount(minute[seen], left[seen], minutes.shape[1])
+    next_one = (np.diff(minutes[0]) == 0) & (np.diff(minutes[1]) == 1) & (number[1:] >= 3) & (number[:-1] >= 3)
+    if next_one.sum() < 8:
+        return 1.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change = np.diff(total / number)[next_one] ** 2
+        white = noise * (1 / number[1:] + 1 / number[:-1])[next_one]
+    return max(float(np.median(change / white)) / _MEDIAN_CHI2, 1.0)
+
+
+def _present(samples: Samples, epochs: FloatArray, window_s: float) -> FloatArray:
+    """How many targets (k,) were seen within so many seconds up to each epoch, at least one."""
+    begin, end = (np.searchsorted(samples.time_s, epochs - back, side="right") for back in (window_s, 0.0))
+    return np.array([max(len(np.unique(samples.target[low:high])), 1) for low, high in zip(begin, end, strict=True)], np.float64)
+
+
+def _revisit(samples: Samples) -> float:
+    """The usual time (s) from one sample of a target to the next; 0 where targets are not known."""
+    if not len(samples) or (samples.target < 0).any():
+        return 0.0
+    order = np.lexsort((samples.time_s, samples.target))
+    step = np.diff(samples.time_s[order])[np.diff(samples.target[order]) == 0]
+    return float(np.median(step)) if len(step) else 0.0
 
 
 def _agreeing(
