@@ -8,10 +8,10 @@ target at any time.  METHODS section 6 (heights, reference quality), section 3 (
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -470,7 +470,14 @@ class States(NamedTuple):
     source: AnyArray
 
 
-Viewer = Callable[[States, FloatArray], States]
+class Viewer(Protocol):
+    """How a moving radar sees the reference (`platform.View`)."""
+
+    def __call__(self, seen: States, time_s: FloatArray) -> States:
+        """The states (n,) at times (n,) about one fixed point."""
+
+    def steady(self, plots: Plots) -> Plots:
+        """The radar's plots with azimuths that do not turn with the ship: to be followed as tracks, not to be compared."""
 
 
 def trajectories(fixes: Fixes, *, method: str = "smooth", max_gap_s: float | None = None) -> Trajectories:

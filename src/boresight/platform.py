@@ -192,6 +192,13 @@ class View:
             place = place + rotate_back(level, rotate_back(deck_from_enu(*attitude), self.arm))
         return place, level if self.angles == "north" else antenna_axes(self.angles, *attitude) @ level
 
+    def steady(self, plots: Plots) -> Plots:
+        """The plots (n,) with azimuths from north, a level deck assumed: for following them as tracks."""
+        if self.angles == "north":
+            return plots
+        heading, known = self.heading.at(plots.time_s)
+        return plots.replace(azimuth_rad=np.where(known, wrap_turn(plots.azimuth_rad + heading), plots.azimuth_rad))
+
     def __call__(self, seen: States, time_s: FloatArray) -> States:
         """The states (n,) at times (n,) as the antenna sees them; not valid where own ship's place or attitude is not known."""
         own = states(self.own, np.zeros(len(time_s), np.int64), time_s)

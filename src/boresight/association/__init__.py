@@ -201,13 +201,16 @@ def _one_sensor(
     _check_reach(scene, np.flatnonzero(reason == _USED))
     gap = settings.track_gap_s or max(8 * assume.scan_s, 15.0)
 
+    view = reference.trajectories.view
+    followed = plots if view is None else view.steady(plots)
+
     def group(rows: IntArray) -> tracklets.Tracklets:
-        return tracklets.build(plots, rows, gap_s=gap, speed_mps=assume.speed_mps, azimuth_sd_rad=assume.azimuth_sd_rad)
+        return tracklets.build(followed, rows, gap_s=gap, speed_mps=assume.speed_mps, azimuth_sd_rad=assume.azimuth_sd_rad)
 
     tracks = group(np.flatnonzero(reason == _USED))
     if assume.min_speed_mps > 0:
         # Half the speed, so that what decides in the end is the reference's motion, not the radar's noise.
-        reason[tracklets.still(plots, tracks, 0.5 * assume.min_speed_mps)] = _PARKED
+        reason[tracklets.still(followed, tracks, 0.5 * assume.min_speed_mps)] = _PARKED
         if not np.any(reason == _USED):
             raise NothingToDo(
                 f"{sensor.name}: no plot is of a moving target ({_counted(reason)})", remedy="Parked targets cannot serve."
