@@ -295,7 +295,7 @@ def test_an_elevation_from_a_swinging_deck_is_the_antennas_own() -> None:
 
 
 def test_what_ignoring_the_platform_costs() -> None:
-    """Without roll, pitch and lever arm 5 degrees of roll are refused; the right pairs give errors outside of 3 sd, and scatter."""
+    """Without roll, pitch and lever arm 5 degrees of roll are refused; the right pairs give errors outside of 3 sd."""
     plots, fixes, own = recordings(SWINGING, 1)
     nothing = np.full(len(own), np.nan)
     level = own.replace(roll_rad=nothing, pitch_rad=nothing)
