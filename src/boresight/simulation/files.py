@@ -39,8 +39,8 @@ _ERROR_STEPS = 1000
 class SceneFiles(msgspec.Struct, frozen=True):
     """Where a scene was written, the UTC date of its first record, and its true errors (radar, term, value in its unit).
 
-    `plots` are the files of the radars that saw anything.  `counts` tells of each file how many rows and targets it holds;
-    `empty` why a radar has no file.
+    `plots` are the files of the radars that saw anything, and of own ships' ways.  `counts` tells of each file how many rows and
+    targets it holds; `empty` why a radar has no file.
     """
 
     plots: tuple[Path, ...]
@@ -68,16 +68,28 @@ class SceneFiles(msgspec.Struct, frozen=True):
 
 
 def plots_file(radar: Radar, form: Form = "auto") -> str:
-    """The name of the file of a radar's plots.  CAT048 and CAT010 have no item for an elevation: such plots become a table."""
+    """The name of the file of a radar's plots.
+
+    CAT048 and CAT010 have no item for an elevation: such plots become a table.  A ship's log of NMEA holds her own way too.
+    """
     if form == "table" or (form == "auto" and radar.elevation_sd_deg is not None):
         return f"{radar.name}.parquet"
-    return f"{radar.name}.nmea" if form == "nmea" and radar.kind == "marine" else f"{radar.name}.ast"
+    log = form == "nmea" or (form == "auto" and radar.platform is not None)
+    return f"{radar.name}.nmea" if log and radar.kind == "marine" else f"{radar.name}.ast"
+
+
+def _ship_file(radar: Radar, form: Form) -> str | None:
+    """The name of the file of own ship's reports, where a radar sails and its plots do not hold them."""
+    if radar.platform is None or plots_file(radar, form).endswith(".nmea"):
+        return None
+    return f"{radar.name}-own-ship.parquet"
 
 
 def scene_files(scenario: Scenario, form: Form = "auto", *, tables: bool = False) -> tuple[str, ...]:
     """The names of the files that `write_scene` writes."""
     return (
         *(plots_file(radar, form) for radar in scenario.radar),
+        *(name for radar in scenario.radar if (name := _ship_file(radar, form)) is not None),
         *(("adsb.ast",) if scenario.adsb is not None else ()),
         *(("ais.nmea",) if scenario.ais is not None else ()),
         *(("mlat.ast",) if scenario.mlat is not None else ()),
@@ -89,8 +101,8 @@ def scene_files(scenario: Scenario, form: Form = "auto", *, tables: bool = False
 
 
 def _receiver_files(scenario: Scenario) -> list[str]:
-    """The names of the files of receivers on board: one a scripted target, at most."""
-    return [f"rtk-{n + 1}.pos" for n in range(sum(target.count for target in scenario.target))]
+    """The names of the files of receivers on board: one a scripted target at most, and all in one table."""
+    return ["rtk.parquet", *(f"rtk-{n + 1}.pos" for n in range(sum(target.count for target in scenario.target)))]
 
 
 def check_form(scenario: Scenario, form: Form) -> None:
@@ -100,7 +112,7 @@ def check_form(scenario: Scenario, form: Form) -> None:
         raise SettingsError(
             f"an NMEA log does not tell whose it is, so only one radar can have one, not {', '.join(logs)}",
             where="--format",
-            remedy="Take auto: CAT010 for marine radars.",
+            remedy="Take asterix or table.",
         )
 
 
@@ -127,6 +139,7 @@ def write_scene(
         why = "; ".join(f"{name}: {reason}" for name, reason in empty.items()) or "there is no radar"
         raise NothingToDo(f"{scenario.name}: no plot is simulated: {why}", remedy="Give radars that see targets.")
     plots: list[Path] = []
+    ways: list[Path] = []
     reference: list[Path] = []
     counts: dict[str, dict[str, int]] = {}
     with together(folder, scene_files(scenario, form, tables=tables)) as beside:
@@ -136,6 +149,10 @@ def write_scene(
                 plots.append(folder / name)
                 _write_plots(beside / name, radar, seen)
                 counts[name] = _count(seen.target)
+                ship = _ship_file(radar, form)
+                if ship is not None:
+                    ways.append(folder / ship)
+                    write_table(beside / ship, seen.own_ship)
         if scenario.adsb is not None and len(run.fixes):
             reference.append(folder / "adsb.ast")
             write_asterix(beside / "adsb.ast", fixes=run.fixes)
@@ -148,12 +165,18 @@ def write_scene(
             reference.append(folder / "mlat.ast")
             write_asterix(beside / "mlat.ast", fixes=run.mlat)
             counts["mlat.ast"] = _count(run.mlat_target)
-        for number in np.unique(run.rtk.track).tolist():
+        receivers = np.unique(run.rtk.track).tolist()
+        for number in receivers:
             mine = run.rtk.track == number
             name = f"rtk-{number}.pos"
-            reference.append(folder / name)
             write_rtklib(beside / name, run.rtk[mine])
             counts[name] = _count(run.rtk_target[mine])
+        if len(receivers) > 1:
+            # Solutions do not tell whose they are: read together they would be one target.
+            write_table(beside / "rtk.parquet", run.rtk)
+            counts["rtk.parquet"] = _count(run.rtk_target)
+        if receivers:
+            reference.append(folder / ("rtk.parquet" if len(receivers) > 1 else f"rtk-{receivers[0]}.pos"))
         write_text(beside / "sensors.toml", sensors_toml(_as_written(run.sensors, scenario, form)))
         told: dict[str, Any] = {"scene": scenario.name, "sensors": _errors_told(run)}
         if tables:
@@ -161,7 +184,7 @@ def write_scene(
             _write_tables(run, beside, form)
         write_text(beside / "truth.json", msgspec.json.format(msgspec.json.encode(told), indent=2).decode() + "\n")
     return SceneFiles(
-        plots=tuple(plots),
+        plots=(*plots, *ways),
         reference=tuple(reference),
         sensors=folder / "sensors.toml",
         truth_file=folder / "truth.json",
@@ -189,7 +212,7 @@ def _write_plots(path: Path, radar: Radar, seen: Observation) -> None:
     if path.suffix == ".parquet":
         write_table(path, seen.plots)
     elif path.suffix == ".nmea":
-        write_nmea(path, seen.plots, sensors=Sensors((radar.sensor,)))
+        write_nmea(path, seen.plots, platform=seen.own_ship, sensors=Sensors((radar.sensor,)))
     else:
         marks = seen.marks if len(seen.marks.time_s) else None
         write_asterix(path, seen.plots, marks=marks, category=10 if radar.kind == "marine" else 48)
@@ -238,7 +261,7 @@ _PLAIN = Sensor(name="")
 
 def why_nothing(run: Simulated, number: int) -> str:
     """Why the radar of this number has no plots, in words."""
-    truth, radar = run.truth, run.scenario.radar[number]
+    truth, radar = run.truth, run.observations[number].radar
     what = "ships" if radar.kind == "marine" else "aircraft"
     first, last = (truth.flights, len(truth)) if radar.kind == "marine" else (0, truth.flights)
     if first == last:
@@ -291,8 +314,8 @@ def _plot_truth(run: Simulated, number: int, file: str) -> dict[str, AnyArray]:
     ``late_s`` is the stamp less the true time, with jitter and rounding; ``error_`` is what the terms did, ``noise_`` what chance
     did.
     """
-    radar, seen = run.scenario.radar[number], run.observations[number]
-    plots, n = seen.plots, len(seen.plots)
+    seen = run.observations[number]
+    radar, plots, n = seen.radar, seen.plots, len(seen.plots)
     rows = np.flatnonzero(seen.target >= 0)
     true, error = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
     if len(rows):

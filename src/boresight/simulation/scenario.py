@@ -25,6 +25,7 @@ from ..writing.rtklib import FIXED_SD_M, FLOAT_SD_M
 from .drift import Drift, Sine
 from .lint import Mistake, Place, decode, line_of, lines_of, nearest
 from .radar import (
+    NOISES,
     Adsb,
     Ais,
     AisLog,
@@ -33,17 +34,17 @@ from .radar import (
     Noise,
     Observation,
     Radar,
-    check_radar,
     observe_adsb,
     observe_ais,
     observe_radar,
+    radar_mistakes,
 )
 from .reference import Mlat, Receiver, Rtk, check_mlat, check_rtk, observe_mlat, observe_rtk
 from .targets import Target, is_ship, script_targets, target_faults
 from .truth import Airport, Atmosphere, Shipping, Traffic, Truth, equip_aircraft, fly_traffic, sail_shipping
+from .vessel import Vessel
 
 _KINDS = ("psr", "ssr", "mode_s", "combined", "marine")
-NOISES = ("range", "azimuth", "elevation", "time", "all")
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -270,6 +271,13 @@ _LIMITS: dict[type, dict[str, tuple[float, float]]] = {
         "elevation_quantum_deg": (0, 90), "time_quantum_s": (0, 10), "false_plots": (0, 1e5), "ground_height_m": (-500, 9000),
         "primary_only": (0, 1), "second_chain": (0, 1),
     },
+    Vessel: {
+        "lat_deg": (-80, 80), "lon_deg": (-360, 360), "height_m": (-500, 6000), "speed_mps": (0, 60), "turn_degps": (-10, 10),
+        "max_turn_degps": (1e-3, 10), "roll_deg": (0, 45), "pitch_deg": (0, 30), "yaw_deg": (0, 45), "heave_m": (0, 20),
+        "roll_period_s": (1, 600), "pitch_period_s": (1, 600), "yaw_period_s": (1, 600), "heave_period_s": (1, 600),
+        "report_s": (0.01, 600), "position_sd_m": (0, 1000), "heading_sd_deg": (0, 45), "roll_sd_deg": (0, 45),
+        "pitch_sd_deg": (0, 45),
+    },
     Noise: {
         "correlated": (0, 1), "correlation_s": (1e-3, 1e6), "t_degrees": (2.001, 1e6), "outliers": (0, 1),
         "outlier_factor": (0, 1e4),
@@ -293,7 +301,7 @@ _LIMITS: dict[type, dict[str, tuple[float, float]]] = {
     },
 }  # fmt: skip
 # What the folder of a simulation has besides the radars' files, without the ending.
-_TAKEN = ("adsb", "ais", "mlat", "truth", "truth_plots", "truth_errors", "truth_targets")
+_TAKEN = ("adsb", "ais", "mlat", "rtk", "truth", "truth_plots", "truth_errors", "truth_targets")
 
 
 def mistakes_of(scenario: Scenario) -> Iterator[Mistake]:
@@ -364,6 +372,13 @@ def _said(check: Callable[[], None], fields: Sequence[str], place: Place) -> Ite
     except SettingsError as error:
         text = str(error.args[0]).removeprefix(f"{error.where}: ")
         yield Mistake((*place, *_key_in(text, fields)), text, error.remedy)
+
+
+def _narrowed(table: Any, place: Place, text: str) -> Place:
+    """The place of the key that a message about a table is about, where it names one."""
+    for part in place:
+        table = getattr(table, part) if isinstance(table, msgspec.Struct) and isinstance(part, str) else table[part]
+    return (*place, *_key_in(text, table.__struct_fields__)) if isinstance(table, msgspec.Struct) else place
 
 
 def _key_in(text: str, fields: Sequence[str]) -> tuple[str, ...]:
@@ -451,40 +466,26 @@ def _radar_mistakes(radar: Radar) -> Iterator[Mistake]:
         yield Mistake(("primary_only",), "primary_only is of combined radars", 'Give kind = "combined".')
     if radar.height_from_elevation and radar.elevation_sd_deg is None:
         yield Mistake(("height_from_elevation",), "height_from_elevation needs an elevation", "Give elevation_sd_deg.")
-    yield from _part_mistakes(radar)
+    for name in radar.noise:
+        if name not in NOISES:
+            remedy = f"{nearest(name, NOISES)}Known: {', '.join(NOISES)}."
+            yield Mistake(("noise", name), f"there is no noise {name!r}", remedy)
+    # What is but a number outside its limits was said already, at the number.
+    outside = [mistake.place for mistake in _outside(radar, ())]
+    for place, text, remedy in radar_mistakes(radar):
+        if not any(number[: len(place)] == place for number in outside):
+            yield Mistake(_narrowed(radar, place, text), text, remedy)
     for term in radar.errors:
-        place: Place = ("errors", term)
+        at: Place = ("errors", term)
         try:
             needs = term_of(term).needs
         except SettingsError as error:
             base, _, channel = term.partition("@")
             like = nearest(channel, CHANNELS) if base in TERMS else nearest(base, TERMS)
-            yield Mistake(place, f"there is no error term {term!r}", like + error.remedy)
+            yield Mistake(at, f"there is no error term {term!r}", like + error.remedy)
             continue
         if "elevation" in needs and radar.elevation_sd_deg is None:
-            yield Mistake(place, f"{term} needs a radar that measures elevation", "Give elevation_sd_deg.")
-
-
-def _part_mistakes(radar: Radar) -> Iterator[Mistake]:
-    """What `check_radar` says of each part of a radar by itself, unless its numbers were found wrong before."""
-    plain = replace(radar, errors={}, noise={}, clutter=(), gaps=Gaps(), stuck_s=(), detection=0.9)
-    parts: list[tuple[Place, Any, dict[str, Any]]] = [
-        *((("errors", name), error, {"errors": {name: error}}) for name, error in radar.errors.items()),
-        *((("clutter", k), area, {"clutter": (area,)}) for k, area in enumerate(radar.clutter)),
-        (("gaps",), radar.gaps, {"gaps": radar.gaps}),
-        (("stuck_s",), None, {"stuck_s": radar.stuck_s}),
-        (("detection",), radar.detection, {"detection": radar.detection}),
-    ]
-    for name, noise in radar.noise.items():
-        if name in NOISES:
-            parts.append((("noise", name), noise, {"noise": {name: noise}}))
-        else:
-            yield Mistake(("noise", name), f"there is no noise {name!r}", f"{nearest(name, NOISES)}Known: {', '.join(NOISES)}.")
-    for place, part, alone in parts:
-        struct = isinstance(part, msgspec.Struct)
-        if not any(_outside(part, place)) if struct else not (isinstance(part, float) and not math.isfinite(part)):
-            fields = part.__struct_fields__ if struct else ()
-            yield from _said(partial(check_radar, replace(plain, **alone), "radar"), fields, place)
+            yield Mistake(at, f"{term} needs a radar that measures elevation", "Give elevation_sd_deg.")
 
 
 # An error beyond so many of its usual sizes, and a scene of fewer turns of the antenna, are more likely slips than wishes.
@@ -503,7 +504,8 @@ def warnings_of(scenario: Scenario) -> Iterator[Mistake]:
             turns = scenario.duration_s / radar.scan_s
             yield Mistake((*place, "scan_s"), f"the antenna turns only {turns:.1f} times in {scenario.duration_s:g} s")
         sees_ships = radar.kind == "marine"
-        region = shipping if sees_ships else traffic if traffic.aircraft else None
+        # Where a ship sails to is another matter.
+        region = None if radar.platform is not None else shipping if sees_ships else traffic if traffic.aircraft else None
         if region is not None and not any(is_ship(t) == sees_ships or t.kind == "replay" for t in scenario.target):
             away = _distance_m(radar.lat_deg, radar.lon_deg, region.lat_deg, region.lon_deg) - region.radius_m
             if away > radar.max_range_m:
