@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -79,32 +78,31 @@ _WIDEST = 8
 
 
 def _blocks(rows: list[Row]) -> Iterator[dict[str, object]]:
-    """A table in blocks: a grid where several lines hold the same quantities, else a list of one number a line."""
+    """A table in blocks: grids of the lines that hold the same quantities, and a list of the others, one number a line."""
     lines = {name: [r for r in rows if r.row == name] for name in dict.fromkeys(r.row for r in rows)}
 
     def heads(line: list[Row]) -> tuple[str, ...]:
         return tuple(f"{r.quantity}{', ' + r.unit if r.unit else ''}" for r in line)
 
-    def is_grid(group: list[tuple[str, list[Row]]]) -> bool:
-        head = heads(group[0][1])
-        return len(group) > 1 and 2 <= len(head) <= _WIDEST and len(set(head)) == len(head)
-
-    groups = [list(group) for _, group in groupby(lines.items(), lambda item: heads(item[1]))]
-    for grid, parts in groupby(groups, is_grid):
-        if grid:
-            for found in parts:
-                yield {
-                    "grid": True,
-                    "heads": heads(found[0][1]),
-                    "lines": [(name, [_cells(r) for r in line], _notes(line)) for name, line in found],
-                    "notes": any(r.note for _, line in found for r in line),
-                }
-            continue
-        every = [line for found in parts for _, line in found]
-        flat = [r for line in every for r in line]
+    groups: dict[tuple[str, ...], list[tuple[str, list[Row]]]] = {}
+    for name, line in lines.items():
+        groups.setdefault(heads(line), []).append((name, line))
+    alone: list[list[Row]] = []
+    for head, found in groups.items():
+        if len(found) > 1 and 2 <= len(head) <= _WIDEST and len(set(head)) == len(head):
+            yield {
+                "grid": True,
+                "heads": head,
+                "lines": [(name, [_cells(r) for r in line], _notes(line)) for name, line in found],
+                "notes": any(r.note for _, line in found for r in line),
+            }
+        else:
+            alone += [line for _, line in found]
+    flat = [r for line in alone for r in line]
+    if flat:
         yield {
             "grid": False,
-            "lines": [_cells(r) | {"first": k == 0} for line in every for k, r in enumerate(line)],
+            "lines": [_cells(r) | {"first": k == 0} for line in alone for k, r in enumerate(line)],
             "printed": any(r.printed is not None for r in flat),
             "bounds": any(r.bound is not None for r in flat),
             "notes": any(r.note for r in flat),
@@ -135,7 +133,7 @@ def number(value: float | str | None) -> str:
     # As rounded: 0.99999 has the places of 1.
     size = float(f"{abs(value):.3e}")
     places = 0 if size >= 1000 or value == round(value) else int(np.clip(3 - np.floor(np.log10(size)), 0, 6))
-    return _signed(f"{value:.{places}f}" if size == 0 or size >= 1e-5 else f"{value:.2e}")
+    return _signed(f"{value:.{places}f}" if size == 0 or size >= 1e-4 else f"{value:.2e}")
 
 
 def given(value: float | str | None, digits: int = 6) -> str:
