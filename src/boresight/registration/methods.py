@@ -845,9 +845,15 @@ def _least_squares_online(job: _Job, pairs: Pairs, sensor: Sensor) -> Calibratio
         first,
         model=f"{first.model}, biases over time",
         noise=own.noise,
-        notes=(*first.notes, *notes),
+        notes=tuple(_both(first.notes, notes)),
         verdicts=tuple(v for v in first.verdicts if (v.channel, v.term) in there and v.term not in BIASES),
     )
     told = {key.name for key in found.terms}
     missing = {n.term: n for n in (*constant.not_determined, *found.not_determined) if n.term not in told}
     return replace(found, sensors=(summary,), not_determined=tuple(missing.values()))
+
+
+def _both(constant: Sequence[str], over_time: Sequence[str]) -> list[str]:
+    """The notes on constant terms and on biases over time, those on inliers and on the end marked as of the former."""
+    marked = ("inliers: ", "how it ended: ")
+    return [f"constant terms: {note}" if note.startswith(marked) else note for note in constant] + list(over_time)
