@@ -596,12 +596,15 @@ def _errors_figure(settings: Settings, case: str) -> Drawing:
 def _initiation_figure(drawn: FloatArray, chain: list[float]) -> Drawing:
     with style("figure-12"):
         figure, ((left, right),) = axes_grid(1, 2, 2.8, top=0.45)
-        edges = np.arange(90, 150, 1.0)
-        for k, (colour, text) in enumerate(((BEFORE, "one radar"), (AFTER, "fused"))):
+        # One radar's tracks begin at a scan each: narrower bins would lie between the scans.
+        begins = np.unique(drawn[:, 0].round(3)) / 1e3
+        step = float(np.diff(begins).min())
+        first, last = (drawn.min() / 1e3 - begins[0]) / step, (drawn.max() / 1e3 - begins[0]) / step
+        edges = begins[0] + step * (np.arange(np.floor(first), np.ceil(last) + 2) - 0.5)
+        for k, colour in enumerate((BEFORE, AFTER)):
             left.hist(drawn[:, k] / 1e3, bins=edges.tolist(), histtype="step", color=colour, linewidth=1.6, density=True)
             left.axvline(chain[k] / 1e3, color=colour, linewidth=1.0, linestyle=(0, (4, 2)))
             right.plot(np.sort(drawn[:, k])[::-1] / 1e3, np.linspace(0, 1, len(drawn)), color=colour, linewidth=1.6)
-            left.text(chain[k] / 1e3, left.get_ylim()[1], f" {text}", fontsize=7, color=colour, va="top")
         left.set_xlabel("initiation range (km)")
         left.set_ylabel("share per km")
         right.set_xlabel("range (km)")
