@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import datetime
 import json
+import re
 import shlex
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import duckdb
+import msgspec
 import numpy as np
 import pytest
 
@@ -285,3 +287,73 @@ def test_the_printed_command_finds_the_errors_again(tmp_path: Path, capsys: pyte
 def test_the_errors_of_every_example_are_found_again(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (path,) = (p for p in EXAMPLES if p.stem == name)
     found_again(path, tmp_path / "out", capsys)
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "simulate.md"
+
+
+def structs_of(kind: Any, place: tuple[str, ...] = ()) -> dict[str, type]:
+    """Every struct that a scenario is made of, by the path of keys that leads to it."""
+    if not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
+        found: dict[str, type] = {}
+        for part in get_args(kind):
+            found |= structs_of(part, place)
+        return found
+    found = {".".join(place) or "The scene": kind}
+    for name, hint in get_type_hints(kind).items():
+        found |= structs_of(hint, (*place, name))
+    return found
+
+
+def in_toml(value: object) -> str:
+    """A default as one would write it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, datetime.datetime):
+        return value.strftime("%Y-%m-%dT%H:%M:%SZ")
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f'"{k}" = {v}' for k, v in value.items()) + " }"
+    return f'"{value}"' if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else str(list(value))
+
+
+def test_every_key_is_on_the_page_with_its_default() -> None:
+    sections = {title: body for title, body in re.findall(r"^### ([^\n]+)\n(.*?)(?=^#|\Z)", PAGE.read_text("utf-8"), re.S | re.M)}
+    structs = structs_of(Scenario)
+    assert set(sections) == set(structs)
+    assert len(structs) >= 20
+    for title, kind in structs.items():
+        rows = [
+            [c.strip() for c in line.strip("|").split("|")] for line in sections[title].splitlines() if line.startswith("| `")
+        ]
+        assert [row[0].strip("`") for row in rows] == list(kind.__struct_fields__), title
+        for row, field in zip(rows, msgspec.structs.fields(kind), strict=True):
+            assert row[3], (title, field.name)
+            value = field.default_factory() if field.default_factory is not msgspec.NODEFAULT else field.default
+            if field.required:
+                assert row[2] == "needed", (title, row)
+            elif value is None or value == "":
+                assert row[2] == "", (title, row)
+            elif isinstance(value, msgspec.Struct) or value in ((), {}):
+                assert row[2] == ("as below" if isinstance(value, msgspec.Struct) else "none"), (title, row)
+            else:
+                shown = row[2].strip("`")
+                same = str(value) if isinstance(value, int) and not isinstance(value, bool) else in_toml(value)
+                assert shown == same, (title, row)
+            for end, unit in (("_m", "m"), ("_deg", "deg"), ("_s", "s"), ("_mps", "m/s")):
+                assert row[1] == unit or not field.name.endswith(end), (title, row)
+
+
+def test_the_code_of_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = PAGE.read_text("utf-8")
+    names: dict[str, object] = {}
+    for block in re.findall(r"^```python\n(.*?)^```$", text, re.S | re.M):
+        exec(compile(block, PAGE.name, "exec"), names)
+    said = capsys.readouterr().out.splitlines()
+    assert "plots of 12 aircraft" in said[0]
+    # What is printed of the mistakes stands on the page.
+    assert len(said) == 4
+    assert all(f"    {line}\n" in text for line in said[2:])
+    assert run("simulate", "scene.toml", "--check") == 0
+    for path in EXAMPLES:
+        assert f"`examples/{path.name}`" in text

@@ -2,8 +2,11 @@
 
 from .demo import association_scene, demo_scene, write_demo
 from .drift import Drift, Sine, Step
+from .files import SceneFiles, write_scene
 from .radar import Adsb, Ais, AisLog, Clutter, Gaps, Noise, Radar, observe_adsb, observe_ais, observe_radar
-from .scenario import Scenario, Simulated, load_scenario, simulate
+from .reference import Mlat, Receiver, Rtk
+from .scenario import Scenario, Simulated, lint_scenario, load_scenario, simulate
+from .targets import Target, Waypoint
 from .truth import Airport, Atmosphere, Shipping, Ships, Traffic, Truth
 from .vessel import Vessel
 
@@ -16,23 +19,31 @@ __all__ = [
     "Clutter",
     "Drift",
     "Gaps",
+    "Mlat",
     "Noise",
     "Radar",
+    "Receiver",
+    "Rtk",
     "Scenario",
+    "SceneFiles",
     "Shipping",
     "Ships",
     "Simulated",
     "Sine",
     "Step",
+    "Target",
     "Traffic",
     "Truth",
     "Vessel",
+    "Waypoint",
     "association_scene",
     "demo_scene",
+    "lint_scenario",
     "load_scenario",
     "observe_adsb",
     "observe_ais",
     "observe_radar",
     "simulate",
     "write_demo",
+    "write_scene",
 ]
