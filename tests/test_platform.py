@@ -406,3 +406,39 @@ def test_autoferry_pooled(data: Path) -> None:
     assert 1.4 <= run.calibration.value[0, k] <= 2.6
     (summary,) = run.calibration.sensors
     assert summary.after.median_m < 0.6 * summary.before.median_m
+
+
+@pytest.mark.parametrize(
+    ("step_s", "period_s", "sd_deg", "most_deg", "most_degps"),
+    [
+        # As it was: too seldom for the swing, and without noise.
+        (1.0, 6.0, 0.0, 0.1, 0.5),
+        (0.2, 6.0, 0.0, 1e-3, 0.02),
+        # Noise that would look like 0.35 degrees a second from one report to the next.
+        (0.2, 20.0, 0.05, 0.02, 0.04),
+        (0.2, 6.0, 0.05, 0.04, 0.12),
+        # From 4.2 degrees a second.
+        (0.1, 60.0, 0.3, 0.08, 0.15),
+    ],
+)
+def test_noise_of_own_ships_heading_does_not_look_like_turning(
+    step_s: float, period_s: float, sd_deg: float, most_deg: float, most_degps: float
+) -> None:
+    rng = np.random.default_rng(5)
+    t = np.arange(0.0, 300.0, step_s)
+    truth = 5 * DEG * np.sin(2 * np.pi * t / period_s)
+    own = Platform(
+        time_s=t,
+        sensor=np.full(len(t), 65536),
+        latitude_rad=np.full(len(t), 1.0) + 1e-9 * t,
+        longitude_rad=np.full(len(t), 0.1),
+        height_m=np.zeros(len(t)),
+        heading_rad=np.mod(truth + sd_deg * DEG * rng.normal(size=len(t)), 2 * np.pi),
+    )
+    view, _, _ = view_of(own, Sensor(name="ferry", id=65536, kind="marine", angles="bow"))
+    asked = np.linspace(5.0, 295.0, 4001)
+    true, rate = (5 * DEG * f(2 * np.pi * asked / period_s) * k for f, k in ((np.sin, 1.0), (np.cos, 2 * np.pi / period_s)))
+    heading = view.heading.at(asked)[0]
+    assert np.sqrt(np.mean(wrap_rad(heading - true) ** 2)) < most_deg * DEG
+    slope = (view.heading.at(asked + 0.01)[0] - view.heading.at(asked - 0.01)[0]) / 0.02
+    assert np.sqrt(np.mean((slope - rate) ** 2)) < most_degps * DEG
