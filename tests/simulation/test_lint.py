@@ -382,6 +382,7 @@ def test_a_replay_needs_its_file(tmp_path: Path) -> None:
         ("range_bias = 80.0", "range_bias = 80000.0", "range_bias = 80000", "far beyond what radars have"),
         ("ramp_per_h = 0.1", "ramp_per_h = 1000.0", "time_offset = ", "far beyond"),
         ("[mlat]\n", "[mlat]\nshare = 0.0\n", "[mlat]", "multilaterated"),
+        ("10:00:00Z", "23:59:59.9Z", "start = ", "one stamps its first plots with another date"),
     ],
 )
 def test_what_makes_little_sense_is_warned_of(tmp_path: Path, old: str, new: str, line_of_part: str, says: str) -> None:

@@ -6,6 +6,7 @@ the lines alone, and the tables are made into structs key by key.
 
 from __future__ import annotations
 
+import datetime
 import difflib
 import math
 import re
@@ -305,8 +306,15 @@ def _is_struct(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
 
 
-_WORDS = {"bool": "true or false", "int": "a whole number (int)", "float": "a number (float)", "str": "a text (str)",
-          "datetime": "a date with time (datetime), as 2026-03-01T10:00:00Z"}  # fmt: skip
+_WORDS = {
+    "array": "a list",
+    "bool": "true or false",
+    "datetime": "a date with time (datetime), as 2026-03-01T10:00:00Z",
+    "float": "a number (float)",
+    "int": "a whole number (int)",
+    "object": "a table",
+    "str": "a text (str)",
+}
 
 
 def _name(place: Place) -> str:
@@ -323,9 +331,16 @@ def _word(data: Any) -> str:
     if isinstance(data, bool):
         return "true or false"
     names = {dict: "a table", list: "a list", str: "a text", int: "a whole number", float: "a number"}
-    return names.get(type(data), "a date or time")
+    names |= {datetime.date: "a date alone", datetime.time: "a time alone"}
+    return names.get(type(data), "a date with time")
 
 
 def _shown(data: Any) -> str:
-    text = repr(data) if not isinstance(data, bool) else str(data).lower()
+    text = (
+        str(data).lower()
+        if isinstance(data, bool)
+        else repr(data)
+        if isinstance(data, (str, int, float, list, dict))
+        else str(data)
+    )
     return text if len(text) <= 60 else text[:57] + "..."

@@ -305,12 +305,8 @@ _TAKEN = ("adsb", "ais", "mlat", "rtk", "truth", "truth_plots", "truth_errors", 
 
 
 def mistakes_of(scenario: Scenario) -> Iterator[Mistake]:
-    """What of a scene cannot be simulated, each with its place in the scenario, and of each place the first."""
-    told: set[Place] = set()
-    for mistake in _mistakes(scenario):
-        if mistake.place not in told:
-            told.add(mistake.place)
-            yield mistake
+    """What of a scene cannot be simulated, each with its place in the scenario, and once."""
+    yield from dict.fromkeys(_mistakes(scenario))
 
 
 def _mistakes(scenario: Scenario) -> Iterator[Mistake]:
@@ -471,7 +467,7 @@ def _radar_mistakes(radar: Radar) -> Iterator[Mistake]:
             remedy = f"{nearest(name, NOISES)}Known: {', '.join(NOISES)}."
             yield Mistake(("noise", name), f"there is no noise {name!r}", remedy)
     # What is but a number outside its limits was said already, at the number.
-    outside = [mistake.place for mistake in _outside(radar, ())]
+    outside = [mistake.place for mistake in _outside(radar, ())] + [("noise", name) for name in radar.noise if name not in NOISES]
     for place, text, remedy in radar_mistakes(radar):
         if not any(number[: len(place)] == place for number in outside):
             yield Mistake(_narrowed(radar, place, text), text, remedy)
@@ -524,6 +520,12 @@ def warnings_of(scenario: Scenario) -> Iterator[Mistake]:
     kinds = {"ships" if radar.kind == "marine" else "aircraft" for radar in scenario.radar}
     if not kinds:
         return
+    for radar in scenario.radar:
+        error = radar.errors.get("time_offset", 0.0)
+        late = datetime.timedelta(seconds=error.value if isinstance(error, Drift) else error)
+        if (scenario.start + late).astimezone(datetime.UTC).date() != scenario.start.astimezone(datetime.UTC).date():
+            text = f"{radar.name} stamps its first plots with another date than others: no single --date reads all files"
+            yield Mistake(("start",), text, "Begin further from midnight.")
     adsb, ais, mlat, rtk = scenario.adsb, scenario.ais, scenario.mlat, scenario.rtk
     if adsb is None and ais is None and mlat is None and rtk is None:
         yield Mistake((), "there is no reference to calibrate against", "Give [adsb], [mlat], [rtk], or [ais] for ships.")
