@@ -46,7 +46,7 @@ def test_each_claim_has_a_bounded_row(study: Study) -> None:
     bounded = {r.id for r in study.rows if r.bound is not None}
     wanted = {"radial-range", "radial-time", "radial-named", "medoids-lone", "search-right", "search-wrong", "eq-7-ratio",
               "time-found", "alias-columns", "sector-ratio", "pairing-nearest", "limit-flat-earth", "limit-pressure"}  # fmt: skip
-    wanted |= {f"{kind}-{scene.replace(' ', '-')}" for kind in ("genetic", "sd", "nees") for scene in SCENES}
+    wanted |= {f"{kind}-{scene.replace(' ', '-')}" for kind in ("genetic", "sd", "sd-share", "nees") for scene in SCENES}
     assert wanted <= bounded
     verdicts = [r for r in study.rows if r.id.startswith("verdict-")]
     assert all(isinstance(r.printed, str) and isinstance(r.ours, str) for r in verdicts)
