@@ -238,7 +238,6 @@ def _one_sensor(
             if not _moved(scene, before, bias):
                 break
             nearest = singles.nearest(scene, alone, bias)
-    said += clock_words(sensor, bias)
     target, track = np.full(len(plots), -1, np.int64), np.full(len(plots), -1, np.int64)
     target[tracks.order] = np.repeat(decided.target, tracks.length)
     track[tracks.order] = first + tracks.member()
@@ -269,6 +268,7 @@ def _one_sensor(
             f"{sensor.name}: no plot agrees with the reference ({_counted(reason)})",
             remedy="Check the radar's position, both clocks, and that both recordings show the same traffic.",
         )
+    said += clock_words(scene, np.flatnonzero(used), track, target, bias)
     return _Found(reason, target, track, bias, table, said)
 
 

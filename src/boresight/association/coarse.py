@@ -11,13 +11,14 @@ import numpy as np
 from .. import alignment
 from .._types import BoolArray, FloatArray, IntArray
 from ..errors import NothingToDo
-from ..model import Sensor
 from . import hough, identity, tracklets
 from .hough import Bias, Candidates, Peak, Window
 from .scene import Scene, Units, meeting, units_of
 
 # A clock that is farther off than this is worth a sentence.
 _CLOCK_WARNING_S = 0.5
+# As many plots tell how well the clock is known.
+_TOLD_BY = 3000
 # Where single plots vote, fewer than this many agreeing ones decide nothing.
 _FEWEST_PLOTS = 20
 # Where votes as wide as the noise do not meet, gain or eccentricity may be in the way: votes so many times as wide are tried.
@@ -74,12 +75,12 @@ def coarse(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names) -> 
                     return named, said
             elif compared:
                 why = (
-                    f"only {peak.tracks} of them agree on the biases, within ±{3 * scene.window.range_m:.0f} m and "
-                    f"±{np.degrees(3 * scene.window.azimuth_rad):.1f}°"
+                    f"{f'only {peak.tracks}' if peak.tracks else 'none'} of them agree on the biases, within "
+                    f"±{3 * scene.window.range_m:.0f} m and ±{np.degrees(3 * scene.window.azimuth_rad):.1f}°"
                 )
                 if _at_edge(peak, scene):
                     why = "the time bias on which they agree lies at the edge of the window or beyond"
-                said.append(f"{scene.sensor.name}: identity pairs {compared} tracks, but {why}")
+                said.append(f"{scene.sensor.name}: identity pairs {compared} track{'s' * (compared != 1)}, but {why}")
     needed = _FEWEST_PLOTS if _single(tracks, units) else scene.settings.min_tracks
     looked_at = len(np.unique(units.unit))
     ballots = _ballots(scene, tracks, names, units)
@@ -326,9 +327,19 @@ def _known_pairs(scene: Scene, tracks: tracklets.Tracklets, names: identity.Name
     return out
 
 
-def clock_words(sensor: Sensor, bias: CoarseBias) -> list[str]:
+def clock_words(scene: Scene, rows: IntArray, track: IntArray, target: IntArray, bias: CoarseBias) -> list[str]:
+    """What to say of the radar's clock, from the `rows` (m,) of plots that are paired; track and target are of all plots."""
     # Where targets are long and slow, what looks like time may as well be where their echoes lie: registration tells these apart.
+    sensor = scene.sensor
     if abs(bias.time_s) < _CLOCK_WARNING_S or sensor.kind in ("surface", "marine"):
+        return []
+    rows = rows[np.argsort(track[rows], kind="stable")]
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _TOLD_BY)).astype(np.int64)]
+    number, first, unit = np.unique(track[rows], return_index=True, return_inverse=True)
+    units = units_of(unit, rows)
+    c = scene.candidates(units, (np.arange(len(number)), target[rows[first]]), window=None)
+    # One straight track does not tell a late stamp from a range bias.
+    if abs(bias.time_s) < 2 * hough.time_sd_s(c):
         return []
     way = "late" if bias.time_s > 0 else "early"
     return [

@@ -190,10 +190,10 @@ def refine(c: Candidates, window: Window, start: Bias, bends: bool = False) -> P
     """Sharpen a peak by robust regression on the pairs that it explains, the gate closing from 4 to 3 widths.
 
     Errors are regressed on (1, -rate) of range and azimuth together, with `bends` also on range gain and eccentricity; weak
-    priors hold what the geometry cannot separate.  The result is kept inside the window.
+    priors hold what the geometry cannot separate: of one radial track, range and time.  The result is kept inside the window.
     """
     limit = np.array([window.range_m, window.azimuth_rad, max(window.time_s, 1e-9), *_BENDS])
-    prior = np.array([1e-3, 1e-3, 1e-3, 16.0, 16.0, 16.0]) / limit**2
+    prior = np.array([1e-3, 1e-3, 0.04, 16.0, 16.0, 16.0]) / limit**2
     free = np.arange(6 if bends else 3)
     estimate = np.array(start)
     best = NO_PEAK
@@ -212,22 +212,52 @@ def refine(c: Candidates, window: Window, start: Bias, bends: bool = False) -> P
         d2 = (left[0] / mine.range_sd_m) ** 2 + (left[1] / mine.azimuth_sd_rad) ** 2
         # Tukey's biweight in the joint distance: points at the gate's edge say nothing.
         w = mine.weight * np.where(d2 < gate**2, (1 - d2 / gate**2) ** 2, 0.0)
-        one, nil = np.ones(len(w)), np.zeros(len(w))
-        rows = (
-            np.stack([one, nil, -mine.range_rate_mps, mine.range_m, nil, nil]),
-            np.stack([nil, one, -mine.azimuth_rate_radps, nil, np.cos(mine.azimuth_rad), np.sin(mine.azimuth_rad)]),
-        )
-        normal, right = np.diag(prior), -prior * estimate
-        for row, error, sd in zip(rows, left, (mine.range_sd_m, mine.azimuth_sd_rad), strict=True):
-            normal += (row * (w / sd**2)) @ row.T
-            right += (row * (w / sd**2)) @ error
-        scaled = (normal * np.outer(limit, limit))[np.ix_(free, free)]
-        step = np.zeros(6)
-        step[free] = np.linalg.solve(scaled, (right * limit)[free]) * limit[free]
-        estimate = np.clip(estimate + step, -limit, limit)
+        normal, right = _normal(mine, w, left)
+        normal, right = normal + np.diag(prior), right - prior * estimate
+        estimate = limit * _bounded(normal * np.outer(limit, limit), right * limit, estimate / limit, free)
     now = Bias(*estimate.tolist())
     score, track, _, _ = explained(c, now)
     return max(best, _peak(now, score, track), key=lambda p: p.score)
+
+
+def _normal(c: Candidates, weight: FloatArray, left: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix (6, 6) and right side (6,) of the errors that are `left`, in the order of `Bias`."""
+    one, nil = np.ones(len(weight)), np.zeros(len(weight))
+    rows = (
+        np.stack([one, nil, -c.range_rate_mps, c.range_m, nil, nil]),
+        np.stack([nil, one, -c.azimuth_rate_radps, nil, np.cos(c.azimuth_rad), np.sin(c.azimuth_rad)]),
+    )
+    normal, right = np.zeros((6, 6)), np.zeros(6)
+    for row, error, sd in zip(rows, left, (c.range_sd_m, c.azimuth_sd_rad), strict=True):
+        normal += (row * (weight / sd**2)) @ row.T
+        right += (row * (weight / sd**2)) @ error
+    return normal, right
+
+
+def _bounded(normal: FloatArray, right: FloatArray, at: FloatArray, free: IntArray) -> FloatArray:
+    """One step of the normal equations from `at` (6,), within -1 … 1: what would leave is held, and the others solved for again.
+
+    Cutting off alone would tear apart what holds together: a time and the range that goes with it.
+    """
+    out = at.copy()
+    while len(free):
+        held = out - at
+        held[free] = 0.0
+        want = at[free] + np.linalg.solve(normal[np.ix_(free, free)], (right - normal @ held)[free])
+        beyond = np.abs(want) > 1.0
+        out[free] = np.clip(want, -1.0, 1.0)
+        if not beyond.any():
+            break
+        free = free[~beyond]
+    return out
+
+
+def time_sd_s(c: Candidates) -> float:
+    """How well candidates that are all true tell the time bias beside those of range and azimuth; a track is one observation."""
+    normal, _ = _normal(c, c.weight, (c.range_error_m, c.azimuth_error_rad))
+    scale = np.sqrt(np.maximum(np.diag(normal)[:3], 1e-300))
+    size, basis = np.linalg.eigh(normal[:3, :3] / np.outer(scale, scale))
+    return float(np.sqrt(np.sum(basis[2] ** 2 / np.maximum(size, 1e-12))) / scale[2])
 
 
 def widened(c: Candidates, width: float) -> Candidates:
