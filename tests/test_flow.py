@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from boresight import flow
+from boresight.alignment import targets_of
 from boresight.errors import InputError, NothingToDo, SettingsError
 from boresight.model import Fixes, Plots, Recording, Source, load_sensors
 from boresight.simulation import write_demo
@@ -131,6 +132,24 @@ def test_options_that_make_no_sense_are_told_before_anything_is_read(scene, tmp_
     with pytest.raises(SettingsError, match="-1 is no seed"):
         flow.demo(tmp_path / "demo", seed=-1)
     assert not (tmp_path / "demo").exists()
+
+
+def test_receivers_that_say_no_name_are_told_apart_by_their_files() -> None:
+    """Two satellite receivers at one time are two targets; one receiver's next file goes on with it, and names count."""
+
+    def file(begin: float, **columns: int) -> Fixes:
+        return Fixes(
+            time_s=begin + np.arange(5.0), source=np.full(5, 65537), track=np.zeros(5),
+            latitude_rad=np.full(5, 0.7), longitude_rad=np.full(5, 0.1), **{k: np.full(5, v) for k, v in columns.items()},
+        )  # fmt: skip
+
+    def count(*files: Fixes) -> int:
+        return len(np.unique(targets_of(Fixes.concat(flow._apart(files)))))
+
+    assert count(file(0.0), file(0.0)) == 2
+    assert count(file(0.0), file(2.0), file(1.0)) == 3
+    assert count(file(0.0), file(5.0)) == 1
+    assert count(file(0.0, mode_s=0xABCDEF), file(0.0, mode_s=0xABCDEF)) == 1
 
 
 def test_a_file_given_twice_is_read_once(scene) -> None:

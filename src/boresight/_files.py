@@ -71,7 +71,7 @@ def together(folder: str | Path, names: Collection[str]) -> Iterator[Path]:
         with tempfile.TemporaryDirectory(prefix=".boresight-", dir=folder) as part:
             yield Path(part)
             written = sorted(Path(part).iterdir())
-            _keep_earlier(folder, {*names, *(path.name for path in written)})
+            keep_earlier(folder, {*names, *(path.name for path in written)})
             for path in written:
                 path.rename(folder / path.name)
     except BaseException as error:
@@ -89,14 +89,16 @@ def together(folder: str | Path, names: Collection[str]) -> Iterator[Path]:
         ) from error
 
 
-def _keep_earlier(folder: Path, names: Collection[str]) -> None:
-    """Move files of these names into the first free ``earlier-N``, so that no result is ever lost."""
+def keep_earlier(folder: Path, names: Collection[str]) -> Path | None:
+    """Move files of these names into the first free ``earlier-N``, so that no result is ever lost; None where there are none."""
     there = [folder / name for name in sorted(names) if (folder / name).exists()]
-    if there:
-        number = 1
-        while (folder / f"earlier-{number}").exists():
-            number += 1
-        kept = folder / f"earlier-{number}"
-        kept.mkdir()
-        for path in there:
-            path.rename(kept / path.name)
+    if not there:
+        return None
+    number = 1
+    while (folder / f"earlier-{number}").exists():
+        number += 1
+    kept = folder / f"earlier-{number}"
+    kept.mkdir()
+    for path in there:
+        path.rename(kept / path.name)
+    return kept

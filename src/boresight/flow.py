@@ -393,48 +393,31 @@ def write_results(run: Run, sensors: Sensors, out: Path, *, title: str = "") -> 
 
     They appear together or not at all: on a full disk or Ctrl-C an earlier result stays as it was.  Raises InputError.
     """
+    from ._files import together
     from .frozen import save_frozen
     from .report import write_report
 
-    made = _missing_folders(out)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _no_folder(out, error) from error
-    try:
-        with tempfile.TemporaryDirectory(prefix=".boresight-", dir=out) as part, ThreadPoolExecutor(1) as writer:
-            beside = Path(part)
-            # While the figures are drawn.
-            data = writer.submit(_write_data, run, beside)
-            write_report(
-                beside / "report.html",
-                run.calibration,
-                run.residuals,
-                sensors,
-                title=title or "Radar calibration",
-                truth={name: {row.term: row.true for row in rows} for name, rows in run.truth.items()},
-                association=run.association,
-                targets=run.targets,
-                reference=run.reference,
-                evidence=run.evidence,
-                conformity=run.conformity,
-                heights=run.heights,
-                samples=run.samples,
-            )
-            data.result()
-            if run.frozen is not None:
-                save_frozen(run.frozen, beside, out)
-            _keep_earlier(out, _RESULTS)
-            for name in _RESULTS:
-                if (beside / name).exists():
-                    (beside / name).rename(out / name)
-    except (InputError, OSError) as error:
-        _remove_empty(made)
-        why = f"{error}".removeprefix(f"{beside}/") if isinstance(error, InputError) else error.strerror or f"{error}"
-        raise InputError(f"the results cannot be written: {why}", path=out) from error
-    except BaseException:
-        _remove_empty(made)
-        raise
+    with together(out, _RESULTS) as beside, ThreadPoolExecutor(1) as writer:
+        # While the figures are drawn.
+        data = writer.submit(_write_data, run, beside)
+        write_report(
+            beside / "report.html",
+            run.calibration,
+            run.residuals,
+            sensors,
+            title=title or "Radar calibration",
+            truth={name: {row.term: row.true for row in rows} for name, rows in run.truth.items()},
+            association=run.association,
+            targets=run.targets,
+            reference=run.reference,
+            evidence=run.evidence,
+            conformity=run.conformity,
+            heights=run.heights,
+            samples=run.samples,
+        )
+        data.result()
+        if run.frozen is not None:
+            save_frozen(run.frozen, beside, out)
 
 
 def _write_data(run: Run, folder: Path) -> None:
@@ -705,6 +688,7 @@ def _is_table(plots: Sequence[str | Path], out: Path) -> bool:
 
 def demo(out: str | Path, *, seed: int = 1, progress: Progress = _silent) -> Run:
     """Simulate three radars with known errors, write real ASTERIX and AIS, calibrate from those files; found against true."""
+    from ._files import keep_earlier
     from .simulation.demo import demo_files, write_demo
 
     if seed < 0:
@@ -720,7 +704,7 @@ def demo(out: str | Path, *, seed: int = 1, progress: Progress = _silent) -> Run
     try:
         with tempfile.TemporaryDirectory(prefix=".boresight-", dir=folder) as part:
             files = write_demo(part, seed)
-            earlier = _keep_earlier(folder, (*_RESULTS, *names))
+            earlier = keep_earlier(folder, (*_RESULTS, *names))
             for name in names:
                 (Path(part) / name).rename(folder / name)
                 placed.append(folder / name)
@@ -828,7 +812,31 @@ def _others(recordings: Sequence[Recording], plots: Plots, warnings: list[str]) 
                 )
             warnings.append(f"{said}: not used as a reference")
         kept.append(r.fixes[~mine] if mine.any() else r.fixes)
-    return Fixes.concat(kept)
+    return Fixes.concat(_apart(kept))
+
+
+def _apart(tables: Sequence[Fixes]) -> list[Fixes]:
+    """The positions of several files; targets without a name that files of one time number alike get numbers of their own.
+
+    A file of a satellite receiver holds one target and no word of which: two of them are two.
+    """
+    import numpy as np
+
+    out: list[Fixes] = []
+    seen: list[tuple[set[int], float, float]] = []
+    free = 1 + max((int(t.track.max()) for t in tables if len(t)), default=0)
+    for fixes in tables:
+        known = np.isfinite(fixes.time_s)
+        nameless = (fixes.mode_s <= 0) & (fixes.mmsi <= 0) & (fixes.callsign < 0) & (fixes.track >= 0) & known
+        if nameless.any():
+            whose = set(np.unique(fixes.source[nameless]).tolist())
+            begin, end = float(fixes.time_s[nameless].min()), float(fixes.time_s[nameless].max())
+            if any(whose & other and begin <= last and first <= end for other, first, last in seen):
+                fixes = fixes.replace(track=np.where(nameless, fixes.track + free, fixes.track))
+                free = 1 + int(fixes.track.max())
+            seen.append((whose, begin, end))
+        out.append(fixes)
+    return out
 
 
 def _with_names(run: Run) -> dict[str, AnyArray]:
@@ -937,18 +945,3 @@ def _check_folder(folder: Path) -> None:
         raise _no_folder(folder, error) from error
     finally:
         _remove_empty(made)
-
-
-def _keep_earlier(folder: Path, names: Sequence[str]) -> Path | None:
-    """Move files of these names into the first free ``earlier-N``, so that no result is ever lost; returns where they went."""
-    there = [folder / name for name in names if (folder / name).exists()]
-    if there:
-        number = 1
-        while (folder / f"earlier-{number}").exists():
-            number += 1
-        kept = folder / f"earlier-{number}"
-        kept.mkdir()
-        for path in there:
-            path.rename(kept / path.name)
-        return kept
-    return None
