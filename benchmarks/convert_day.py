@@ -6,9 +6,8 @@ An hour of eight Mode S radars (4 s, 240 km) is simulated once and laid 24 times
 one CAT048 file.  That is not timed.  Then the command runs in a process of its own, whose peak memory is the kernel's word on it.
 
 Measured on two cores shared with much other work, so that the time by the clock says little: 8,000,000 plots take 27 s of
-processor time and 567 MB at most.  The whole day of 80,000,000 (2.37 GB of CAT048 to 1.26 GB of Parquet) took 281 s of processor
-time, and 545 MB at most while the parts were read; its pieces were then joined on two threads, which took 784 MB.  They are now
-joined on one, which by itself takes 181 MB for 80 pieces and 193 MB for 320.
+processor time and 567 MB at most.  The whole day of 80,000,000 (2.37 GB of CAT048 to 1.26 GB of Parquet) takes 245 s of processor
+time (517 s by the clock) and 604 MB at most: the parts are joined on one thread, because two took 784 MB.
 """
 
 from __future__ import annotations
