@@ -6,6 +6,7 @@ import dataclasses
 import datetime
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -116,6 +117,124 @@ def test_a_step_of_the_bias_is_told_from_targets_that_come_and_go() -> None:
     assert 0.4 < np.mean(wrong) < 2.0
     # Half a minute after a step of 80 m what is left is what the targets' own errors leave.
     assert np.mean(steps) < 15
+
+
+def traffic(
+    seed: int, *, own_m: float = 15.0, coloured: float = 0.0, outliers: float = 0.0, together: int = 10, life_s: float = 900.0
+) -> tuple[Samples, np.ndarray]:
+    """An hour of samples of a constant 100 m (sd 20 m, every 4 s, `together` targets at a time), and which are outliers.
+
+    Each target keeps an error of its own; a share of the noise's variance may have a memory of 20 s.
+    """
+    rng = np.random.default_rng([seed, 5])
+    t = np.arange(0.0, 3600.0, 4.0 / together)
+    lane = np.arange(len(t)) % together
+    turn = np.floor(t / life_s + lane / together).astype(int)
+    _, who = np.unique(lane + together * turn, return_inverse=True)
+    slow = np.empty(len(t))
+    keep = np.exp(-4.0 / 20.0)
+    for k in range(len(t)):
+        before = slow[k - together] if k >= together else rng.normal()
+        slow[k] = keep * before + np.sqrt(1 - keep**2) * rng.normal()
+    wild = rng.random(len(t)) < outliers
+    z = np.full((len(t), 3), np.nan)
+    noise = np.sqrt(1 - coloured) * rng.normal(size=len(t)) + np.sqrt(coloured) * slow
+    z[:, 0] = 100.0 + own_m * rng.normal(size=who.max() + 1)[who] + 20.0 * noise + wild * rng.uniform(100, 300, len(t))
+    z[:, 1] = rng.normal(size=len(t)) * 1e-3
+    return dataclasses.replace(samples(z, (20.0, 1e-3, np.nan), step_s=4.0 / together), target=who), wild
+
+
+@pytest.mark.parametrize(
+    ("how", "low", "high", "most_m"),
+    [
+        ({}, 0.5, 1.5, 7.0),
+        ({"outliers": 0.1}, 0.5, 1.5, 7.0),
+        ({"coloured": 0.5}, 0.5, 1.5, 8.0),
+        ({"coloured": 0.5, "own_m": 0.0}, 0.4, 1.5, 6.0),
+        ({"together": 3}, 0.5, 1.7, 12.0),
+    ],
+    ids=["own", "own and outliers on one side", "own and memory", "memory alone", "three at a time"],
+)
+def test_the_sd_holds_with_targets_of_their_own(how: dict[str, Any], low: float, high: float, most_m: float) -> None:
+    """Squared errors in units of what is said of them, over 12 recordings; and the errors themselves.
+
+    The mixture is cautious where nothing changes.
+    """
+    off, sd = [], []
+    for seed in range(12):
+        mine, _ = traffic(seed, **how)
+        found = register_online(mine, MAIN, step_s=20.0)
+        got, said = value(found, "range_bias", MAIN.key)
+        off.append(got[20:] - 100.0)
+        sd.append(said[20:])
+    assert low < np.mean((np.array(off) / sd) ** 2) < high
+    assert np.sqrt(np.mean(np.square(off))) < most_m
+
+
+@pytest.mark.parametrize("name", ["igmsr", "exponential-average", "alpha-beta", "mean-shift"])
+def test_targets_that_come_and_go_widen_every_method(name: str) -> None:
+    """The sd counts the targets that are in the estimate, not those of long before."""
+    wrong = []
+    for seed in range(12):
+        mine, _ = traffic(seed, together=4, own_m=40.0)
+        # In the last four minutes there is one target.
+        last = mine.time_s > mine.time_s[-1] - 240
+        keep = ~last | (mine.target == mine.target[-1])
+        found = register_online(mine.take(keep), MAIN, method=METHODS[name], step_s=20.0)
+        got, sd = value(found, "range_bias", MAIN.key)
+        wrong.append(((got - 100.0) / sd)[-1] ** 2)
+    assert np.mean(wrong) < 2.2
+
+
+def test_one_target_at_a_time_is_said() -> None:
+    alone, _ = traffic(0, together=1)
+    note = "one target at a time"
+    assert any(note in said for said in register_online(alone, MAIN).sensors[0].notes)
+    several, _ = traffic(0, together=3)
+    assert not any(note in said for said in register_online(several, MAIN).sensors[0].notes)
+
+
+def test_after_a_step_the_level_is_known_no_better_than_its_targets() -> None:
+    """One target whose own error is far larger than the noise: a step tells the level no better than that error is known."""
+    rng = np.random.default_rng(12)
+    t = np.arange(0.0, 400.0)
+    z = 40.0 * (t > 200) + rng.normal(size=400)
+    bank = KalmanBank(memory_s=(20.0, 20.0), members=1)
+    found = bank(t, z[None], 1.0, t, np.zeros(400, int), np.array([100.0]))
+    before, after = np.sqrt(found.variance[0, [199, 230]])
+    assert found.value[0, 230] - found.value[0, 199] == pytest.approx(40.0, abs=1.5)
+    assert after > 0.9 * before > 3.0
+
+
+def test_a_rate_is_not_carried_through_a_gap() -> None:
+    rng = np.random.default_rng(13)
+    t = np.arange(0.0, 1200.0)
+    z = 100.0 + 40.0 * np.sin(t / 300) + rng.normal(size=1200) * 20
+    epochs = np.array([1199.0, 1199.0 + 36000.0])
+    found = KalmanBank()(t, z[None], 400.0, epochs)
+    # Ten hours at the last rate would be kilometres.
+    assert abs(found.value[0, 1] - found.value[0, 0]) < 200
+    assert np.sqrt(found.variance[0, 1]) > 1000
+
+
+def test_a_bank_over_a_long_recording_stays_a_bank() -> None:
+    """Sixty targets at a time come and go through 60,000 samples: no variance is lost; the same input, the same bytes."""
+    rng = np.random.default_rng(14)
+    n = 60_000
+    t = np.arange(n) * 0.2
+    lane = np.arange(n) % 60
+    _, who = np.unique(lane + 60 * np.floor(t / 1800 + lane / 60).astype(int), return_inverse=True)
+    z = 5.0 + rng.normal(size=who.max() + 1)[who] * 15 + rng.normal(size=n) * 20
+    z[n // 2 :] += 200
+    bank = KalmanBank(memory_s=(40.0, 640.0), members=3)
+    epochs = np.arange(0.0, t[-1], 60.0)
+    found, again = (bank(t, z[None], 400.0, epochs, who, np.array([225.0])) for _ in range(2))
+    assert found.value.tobytes() == again.value.tobytes()
+    off = found.value[0] - 5.0 - 200 * (epochs >= t[n // 2])
+    late = (epochs > 600) & (np.abs(epochs - t[n // 2]) > 90)
+    assert 0.3 < np.mean(off[late] ** 2 / found.variance[0, late]) < 2.5
+    # Sixty targets with 15 m each leave 2 m; the noise of those seen so far as little again.
+    assert 1.0 < np.sqrt(found.variance[0, late].min()) < np.sqrt(found.variance[0, late].max()) < 12
 
 
 @pytest.mark.parametrize(("period", "high"), [(np.inf, 1.1), (1600.0, 1.3), (400.0, 1.4)])

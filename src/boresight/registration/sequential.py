@@ -39,6 +39,7 @@ BIASES = ("range_bias", "azimuth_bias", "elevation_bias")
 _LEAST = 5
 _AGREE = 0.5
 _INLIER_SD = 3.0
+_OUTLIER_SD = 4.0
 # A member of the bank remembers at least so many samples that are worth something of their own.
 _TELLING = 15.0
 # And so many turns of the antenna.
@@ -46,6 +47,8 @@ _TURNS = 3.0
 # Of so many targets at a time offsets are followed (of more, the mean is well known); a target's own errors fade with this time.
 _SLOTS = 64
 _FADE_S = 600.0
+# After so many such times nothing worth keeping is left of it.
+_FADED = 2.0
 _MINUTE_S = 60.0
 _EPOCHS = 400
 _BLOCK_S = 300.0
@@ -55,6 +58,8 @@ _NETWORK = 100.0
 _SD_PER_MEDIAN = 1.4826
 # The median of the square of a normal variable.
 _MEDIAN_CHI2 = 0.4549
+# The median of fewer squares says nothing.
+_TELL_RATIO = 8
 # The floor under a variance that the samples do not show: metres and radians.
 _FLOOR = np.array([1e-3, 1e-8, 1e-8])
 
@@ -248,10 +253,12 @@ def _bank(
 ) -> None:
     """Fill mixed biases (m, k) and variances (m, k) at the epochs; `walk` (m, j) is the rates' noise (value^2 / s^3).
 
-    The state is the bias, its rate, and with `own` (m,) variances the offsets of at most `slots` targets.
+    The state is the bias, its rate, and with `own` (m,) variances the offsets of at most `slots` targets.  Of the covariances
+    only the lower triangle is held and read, so that they cannot become unsymmetric.
     """
     members = len(memory)
     score, run, far = np.zeros(members), np.zeros(members), np.zeros((members, streak))
+    whose = np.zeros((members, streak), np.int64)
     for s in range(value.shape[0]):
         wide = slots if own[s] > 0.0 else 0
         x, p = np.zeros((members, 2 + wide)), np.zeros((members, 2 + wide, 2 + wide))
@@ -270,11 +277,13 @@ def _bank(
                         if holder[g] == target[i - 1]:
                             c = g
                     if c < 0:
-                        # A target that is new takes the place of the one that was not seen for longest.
-                        if used < wide:
-                            c, used = used, used + 1
+                        # A target that is new takes the place of the one not seen for longest: its error has faded, or none
+                        # is free.
+                        oldest = int(np.argmin(last[:used])) if used else 0
+                        if used and (used == wide or t - last[oldest] > _FADED * fade):
+                            c = oldest
                         else:
-                            c = int(np.argmin(last))
+                            c, used = used, used + 1
                         stay, fresh = 0.0, own[s]
                         holder[c] = target[i - 1]
                     else:
@@ -283,38 +292,39 @@ def _bank(
                     last[c], c = t, c + 2
                     for j in range(members):
                         x[j, c] *= stay
-                        for g in range(2 + used):
+                        for g in range(c):
                             p[j, c, g] *= stay
-                            p[j, g, c] = p[j, c, g]
-                        p[j, c, c] = p[j, c, c] * stay + fresh
+                        for g in range(c + 1, 2 + used):
+                            p[j, g, c] *= stay
+                        p[j, c, c] = p[j, c, c] * stay * stay + fresh
                 if not begun:
                     begun, at = True, t
                     for j in range(members):
                         x[j, 0], x[j, 1], score[j], run[j] = z, 0.0, 0.0, 0.0
-                        p[j, 0, 0], p[j, 0, 1], p[j, 1, 0], p[j, 1, 1] = r, 0.0, 0.0, r / memory[j] ** 2
+                        p[j, 0, 0], p[j, 1, 0], p[j, 1, 1] = r, 0.0, r / memory[j] ** 2
                         if c >= 0:
                             p[j, 0, 0] += own[s]
-                            p[j, 0, c] = p[j, c, 0] = -own[s]
+                            p[j, c, 0] = -own[s]
                     continue
                 dt, at = t - at, t
                 forget, top = np.exp(-dt / judged), -np.inf
                 for j in range(members):
                     q = walk[s, j]
                     x[j, 0] += dt * x[j, 1]
-                    p[j, 0, 0] += dt * (2 * p[j, 0, 1] + dt * p[j, 1, 1]) + q * dt**3 / 3
-                    p[j, 0, 1] += dt * p[j, 1, 1] + q * dt**2 / 2
-                    p[j, 1, 0] = p[j, 0, 1]
+                    p[j, 0, 0] += dt * (2 * p[j, 1, 0] + dt * p[j, 1, 1]) + q * dt**3 / 3
+                    p[j, 1, 0] += dt * p[j, 1, 1] + q * dt**2 / 2
                     p[j, 1, 1] += q * dt
                     for g in range(2, 2 + used):
-                        p[j, 0, g] += dt * p[j, 1, g]
-                        p[j, g, 0] = p[j, 0, g]
+                        p[j, g, 0] += dt * p[j, g, 1]
                     offset = 0.0
                     for g in range(2 + used):
                         hp[g] = p[j, g, 0]
                     size = hp[0]
                     if c >= 0:
                         offset = x[j, c]
-                        for g in range(2 + used):
+                        for g in range(c):
+                            hp[g] += p[j, c, g]
+                        for g in range(c, 2 + used):
                             hp[g] += p[j, g, c]
                         size = hp[0] + hp[c]
                     size += r
@@ -328,15 +338,22 @@ def _bank(
                     if a > 3.0:
                         side = 1.0 if v > 0 else -1.0
                         run[j] = run[j] + side if run[j] * side >= 0 else side
-                        far[j, int(abs(run[j])) - 1] = z - offset
+                        far[j, int(abs(run[j])) - 1], whose[j, int(abs(run[j])) - 1] = z - offset, c
                     else:
                         run[j] = np.sign(run[j]) * max(abs(run[j]) - 1.0, 0.0)
                     if abs(run[j]) >= streak:
                         # The step's new level may have its outliers too.
                         x[j, 0], run[j], weight = np.median(far[j]), 0.0, 0.0
-                        p[j, 0, 0] = 0.5 * np.pi * (r + own[s]) / streak
+                        p[j, 0, 0] = 0.5 * np.pi * r / streak
                         for g in range(1, 2 + used):
-                            p[j, 0, g] = p[j, g, 0] = 0.0
+                            p[j, g, 0] = 0.0
+                        if c >= 0:
+                            # It is wrong by what its targets' offsets are wrong by, the other way.
+                            for one in whose[j]:
+                                for g in range(1, 2 + used):
+                                    p[j, g, 0] -= p[j, max(g, one), min(g, one)] / streak
+                            for one in whose[j]:
+                                p[j, 0, 0] -= p[j, one, 0] / streak
                         p[j, 1, 1] += r / memory[j] ** 2
                     if weight > 0.0:
                         total = size - r + r / weight
@@ -344,8 +361,9 @@ def _bank(
                             gain[g] = hp[g] / total
                             x[j, g] += gain[g] * y
                         for g in range(2 + used):
-                            for h in range(2 + used):
-                                p[j, g, h] -= gain[g] * hp[h]
+                            row, much = p[j, g, : g + 1], gain[g]
+                            for h in range(len(row)):
+                                row[h] -= much * hp[h]
                     top = max(top, score[j])
                 for j in range(members):
                     # None is ruled out for good: the law of change may change.
@@ -356,10 +374,11 @@ def _bank(
             for j in range(members):
                 w = np.exp(score[j])
                 total += w
-                mean += w * (x[j, 0] + ahead * x[j, 1])
+                # A rate is not carried on for longer than the filter remembers: through a gap it would go anywhere.
+                mean += w * (x[j, 0] + min(ahead, memory[j]) * x[j, 1])
             mean /= total
             for j in range(members):
-                ours = p[j, 0, 0] + ahead * (2 * p[j, 0, 1] + ahead * p[j, 1, 1]) + walk[s, j] * ahead**3 / 3
+                ours = p[j, 0, 0] + ahead * (2 * p[j, 1, 0] + ahead * p[j, 1, 1]) + walk[s, j] * ahead**3 / 3
                 square += np.exp(score[j]) / total * (ours + (x[j, 0] + ahead * x[j, 1] - mean) ** 2)
             out[s, k], spread[s, k] = mean, square
 
@@ -459,8 +478,9 @@ def register_online(
     """Follow one radar's biases over time, of its samples measured - true (`online_samples`).
 
     Epochs are `step_s` apart (by default a four-hundredth of the time), or those of `epoch_s` (k,).  The terms of `beside`,
-    which `online_samples` has taken out, go on in the result with the values that they have there.  Raises NothingToDo where no
-    bias can be told.
+    which `online_samples` has taken out, go on in the result with the values that they have there; what they are wrong by makes
+    the biases wrong, as much as `beside` says of its own biases, and the covariance holds it.  Raises NothingToDo where no bias
+    can be told.
     """
     method = method or KalmanBank()
     epochs = _epochs([samples], step_s) if epoch_s is None else epoch_s
@@ -473,7 +493,18 @@ def register_online(
     keys = [TermKey(sensor.key, "all", BIASES[c], TERMS[BIASES[c]].unit) for c in found.known]
     if beside is not None and rows:
         value[:, count:] = beside.value[-1, rows]
-        covariance[:, count:, count:] = beside.covariance[-1][np.ix_(rows, rows)]
+        theirs = beside.covariance[-1][np.ix_(rows, rows)]
+        with_them = np.zeros((count, len(rows)))
+        for j, c in enumerate(found.known):
+            row = beside.index(sensor.key, BIASES[c])
+            if row is not None:
+                with_them[j] = beside.covariance[-1][row, rows]
+        size = np.sqrt(np.diag(theirs))
+        unit = theirs / size[:, None] / size
+        covariance[:, count:, count:] = theirs
+        covariance[:, :count, count:] = with_them
+        covariance[:, count:, :count] = with_them.T
+        covariance[:, :count, :count] += (with_them / size) @ np.linalg.pinv(unit, hermitian=True) @ (with_them / size).T
         keys += [beside.terms[row] for row in rows]
     return Calibration(
         terms=tuple(keys),
@@ -629,17 +660,22 @@ def _follow(
         # Who remembers a dozen samples follows their noise, through a gap nothing at all, and within a turn single targets.
         method = method.no_faster(max(_TELLING * _spacing(mine.time_s), _TURNS * _revisit(mine)))
     found = method(mine.time_s, z.T[known], r.T[known], epochs)
-    own, within, memory = _own(mine, z, r, known, epochs, _held_back(found.value))
-    extra = np.zeros(len(epochs))
-    if (own > 0).any():
-        if isinstance(method, KalmanBank) and _present(mine, epochs, _FADE_S).max() <= _SLOTS:
-            method = method.no_faster(_TELLING * _spacing(mine.time_s) * memory)
-            found = method(mine.time_s, z.T[known], within, epochs, mine.target, own)
+    own, worth = _own(mine, z, r, known, epochs, _held_back(found.value))
+    extra = np.zeros((len(known), len(epochs)))
+    if (own > 0).any() or (worth > 1).any():
+        if isinstance(method, KalmanBank):
+            method = method.no_faster(_TELLING * _spacing(mine.time_s) * float(worth.max()))
+            few = _present(mine, epochs, _FADE_S)[0].max() <= _SLOTS
+            shared = (mine.target, own) if few else ()
+            found = method(mine.time_s, z.T[known], r.T[known] * worth[:, None], epochs, *shared)
         else:
+            few = False
+            extra = found.variance * (np.maximum(worth, 1.0) - 1)[:, None]
+        if not few:
             # A target's own errors do not average out while it is there: only other targets do.
-            extra = 1 / _present(mine, epochs, _BLOCK_S)
+            extra = extra + own[:, None] / _present(mine, epochs, _window(method))[1]
     value = _held_back(found.value)
-    spread = _held_back(found.variance + own[:, None] * extra)
+    spread = _held_back(found.variance + extra)
     inlier = _agreeing(mine.time_s, z.T[known], r.T[known], epochs, value, _INLIER_SD)
     for j, c in enumerate(known):
         count, agree = int(np.isfinite(z[:, c]).sum()), int(inlier[j].sum())
@@ -653,6 +689,8 @@ def _follow(
             notes.append(
                 f"{BIASES[c]}: most samples do not agree: they are outliers, or the bias changes faster than the method follows"
             )
+    if not (mine.target < 0).any() and np.median(_present(mine, epochs, _MINUTE_S)[0]) < 2:
+        notes.append("one target at a time: what it keeps for itself cannot be told from the biases, and is not in their sd")
     k = len(epochs)
     covariance = np.zeros((k, len(known), len(known)))
     # Errors of one sample in range, azimuth and elevation correlate a little where the radars stand apart.
@@ -692,16 +730,16 @@ def _held_back(value: FloatArray) -> FloatArray:
 
 def _own(
     samples: Samples, value: FloatArray, variance: FloatArray, known: list[int], epochs: FloatArray, found: FloatArray
-) -> tuple[FloatArray, FloatArray, float]:
-    """The variance (m,) of what the samples of a target share, beside the bias (m, k) that was found, and without it (m, n).
+) -> tuple[FloatArray, FloatArray]:
+    """The variance (m,) of what the samples of a target share beside the bias (m, k) that was found, and their worth (m,).
 
-    The last is how many samples tell as much as one would if their noise had no memory.
-
-    Medians over blocks of minutes of the squared difference of neighbouring targets' means, less what their noise gives.
+    The first is of medians over blocks of minutes of the squared difference of neighbouring targets' means, less what their
+    noise gives.  The second is by what to multiply the samples' variance, which holds the first and knows of no memory in the
+    noise, for the noise alone and as if it had none.
     """
-    own, within = np.zeros(len(known)), np.ascontiguousarray(variance.T[known])
+    own, worth = np.zeros(len(known)), np.ones(len(known))
     if not len(samples) or (samples.target < 0).any():
-        return own, within, 1.0
+        return own, worth
     block = np.floor((samples.time_s - samples.time_s[0]) / _BLOCK_S).astype(np.int64)
     _, group = np.unique(np.stack([block, samples.target]), axis=1, return_inverse=True)
     groups = int(group.max()) + 1
@@ -709,55 +747,99 @@ def _own(
     own_block[group] = block
     order = np.lexsort((samples.time_s, samples.target))
     same = np.diff(samples.target[order]) == 0
-    longest = 1.0
     slot = np.floor((samples.time_s - samples.time_s[0]) / _MINUTE_S).astype(np.int64)
     minutes, minute = np.unique(np.stack([samples.target, slot]), axis=1, return_inverse=True)
     for j, c in enumerate(known):
         left = value[:, c] - np.interp(samples.time_s, epochs, found[j])
+        # What one sample of a target differs from its next by is its noise; what a minute differs from the next, its memory.
+        step = np.diff(left[order])[same & np.isfinite(np.diff(left[order]))]
+        usual = float(np.median(variance[np.isfinite(left), c]))
+        noise = _SD_PER_MEDIAN**2 * float(np.median(step**2)) / 2 if len(step) >= 8 else usual
+        share = min(max(noise / usual, 1e-4), 1.0)
+        # Means are of what is no outlier among its target's samples of these minutes.
+        with np.errstate(invalid="ignore"):
+            left[np.abs(left - _medians(left, group, groups)[group]) > _OUTLIER_SD * np.sqrt(usual)] = np.nan
+        memory = _memory(left, share * usual, minute, minutes)
         seen = np.isfinite(left)
         number = np.bincount(group[seen], minlength=groups).astype(np.float64)
         total = np.bincount(group[seen], left[seen], groups)
-        # What one sample of a target differs from its next by is its noise; what a minute differs from the next, its memory.
-        step = np.diff(left[order])[same & np.isfinite(np.diff(left[order]))]
-        usual = float(np.median(variance[seen, c]))
-        noise = _SD_PER_MEDIAN**2 * float(np.median(step**2)) / 2 if len(step) >= 8 else usual
-        share = min(max(noise / usual, 1e-4), 1.0)
-        memory = _memory(left, share * usual, minute, minutes)
         with np.errstate(divide="ignore", invalid="ignore"):
             mean, white = total / number, share * memory * usual / number
         near = (own_block[1:] == own_block[:-1]) & (number[1:] >= 5) & (number[:-1] >= 5)
-        if near.sum() >= 8:
-            both = (white[1:] + white[:-1])[near]
-            ratio = float(np.median(np.diff(mean)[near] ** 2 / both)) / _MEDIAN_CHI2
-            # What the median of squares of normal variables says is itself uncertain: by 2.33 over the root of their number.
-            if ratio > 1.0 + 2 * 2.33 / np.sqrt(near.sum()):
-                own[j] = (ratio - 1.0) * float(np.median(both)) / 2
-                within[j] *= share * memory
-                longest = max(longest, memory)
-    return own, within, longest
+        grown, both = _ratio(np.diff(mean)[near], (white[1:] + white[:-1])[near])
+        if grown > 1.0:
+            own[j] = (grown - 1.0) * float(np.median(both)) / 2
+        if grown > 1.0 or memory > 1.0:
+            worth[j] = share * memory
+    return own, worth
+
+
+def _medians(value: FloatArray, group: IntArray, groups: int) -> FloatArray:
+    """The (upper) medians (g,) of the numbers in each group, NaN where there is none."""
+    seen = np.flatnonzero(np.isfinite(value))
+    order = seen[np.lexsort((value[seen], group[seen]))]
+    number = np.bincount(group[seen], minlength=groups)
+    middle = np.cumsum(number) - number + number // 2
+    out = np.full(groups, np.nan)
+    out[number > 0] = value[order[middle[number > 0]]]
+    return out
 
 
 def _memory(left: FloatArray, noise: float, minute: IntArray, minutes: IntArray) -> float:
     """By how much the means over one target's neighbouring minutes differ more than white noise would have it, at least 1.
 
-    `left` (n,) with the number of each one's minute (n,); `minutes` (2, m) are the target and the slot of time of each.
+    `left` (n,) with the number of each one's minute (n,); `minutes` (2, m) are the target and the slot of time of each.  Where
+    targets are there together one's change is compared with the next one's, so that the bias has no part in it.
     """
     seen = np.isfinite(left)
     number = np.bincount(minute[seen], minlength=minutes.shape[1]).astype(np.float64)
     total = np.bincount(minute[seen], left[seen], minutes.shape[1])
     next_one = (np.diff(minutes[0]) == 0) & (np.diff(minutes[1]) == 1) & (number[1:] >= 3) & (number[:-1] >= 3)
-    if next_one.sum() < 8:
-        return 1.0
     with np.errstate(divide="ignore", invalid="ignore"):
-        change = np.diff(total / number)[next_one] ** 2
+        change = np.diff(total / number)[next_one]
         white = noise * (1 / number[1:] + 1 / number[:-1])[next_one]
-    return max(float(np.median(change / white)) / _MEDIAN_CHI2, 1.0)
+    when = minutes[1, 1:][next_one]
+    order = np.argsort(when, kind="stable")
+    together = np.diff(when[order]) == 0
+    if together.sum() >= _TELL_RATIO:
+        change, white = np.diff(change[order])[together], (white[order][1:] + white[order][:-1])[together]
+    return _ratio(change, white)[0]
 
 
-def _present(samples: Samples, epochs: FloatArray, window_s: float) -> FloatArray:
-    """How many targets (k,) were seen within so many seconds up to each epoch, at least one."""
+def _ratio(difference: FloatArray, variance: FloatArray) -> tuple[float, FloatArray]:
+    """By how much differences (n,) are larger in the square than their variances (n,) say, by the median; and the variances.
+
+    1 where it is less, or no more than chance makes it.
+    """
+    if len(difference) < _TELL_RATIO:
+        return 1.0, variance
+    ratio = float(np.median(difference**2 / variance)) / _MEDIAN_CHI2
+    # What the median of squares of normal variables says is itself uncertain: by 2.33 over the root of their number.
+    return (ratio if ratio > 1.0 + 2 * 2.33 / np.sqrt(len(difference)) else 1.0), variance
+
+
+def _window(method: Online) -> float:
+    """The time (s) up to an epoch whose samples count in the method's estimate, as if they counted alike."""
+    if isinstance(method, Igmsr | ExponentialAverage):
+        return 2 * method.tau_s
+    if isinstance(method, AlphaBetaBias):
+        return 2 * method.slot_s / method.gains.alpha
+    return float("inf") if isinstance(method, MeanShift) else _BLOCK_S
+
+
+def _present(samples: Samples, epochs: FloatArray, window_s: float) -> tuple[FloatArray, FloatArray]:
+    """How many targets (k,) were seen within so many seconds up to each epoch, and as how many with equal shares they count.
+
+    Both are at least one.
+    """
+    _, code = np.unique(samples.target, return_inverse=True)
     begin, end = (np.searchsorted(samples.time_s, epochs - back, side="right") for back in (window_s, 0.0))
-    return np.array([max(len(np.unique(samples.target[low:high])), 1) for low, high in zip(begin, end, strict=True)], np.float64)
+    out = np.ones((2, len(epochs)))
+    for k, (low, high) in enumerate(zip(begin, end, strict=True)):
+        number = np.bincount(code[low:high]).astype(np.float64)
+        if high > low:
+            out[:, k] = (number > 0).sum(), number.sum() ** 2 / (number @ number)
+    return out[0], out[1]
 
 
 def _revisit(samples: Samples) -> float:
