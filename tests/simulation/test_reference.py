@@ -14,9 +14,18 @@ from boresight.errors import InputError, SettingsError
 from boresight.geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate
 from boresight.model import Channel, Fixes, Flag
 from boresight.reading import read
-from boresight.simulation.reference import Mlat, Receiver, Rtk, check_rtk, mlat_covariance, observe_mlat, observe_rtk
+from boresight.simulation.reference import (
+    Mlat,
+    Receiver,
+    Rtk,
+    check_rtk,
+    equip_aircraft,
+    mlat_covariance,
+    observe_mlat,
+    observe_rtk,
+)
 from boresight.simulation.targets import Target, Waypoint, script_targets
-from boresight.simulation.truth import Atmosphere, Traffic, Truth, equip_aircraft, fly_traffic
+from boresight.simulation.truth import Atmosphere, Traffic, Truth, fly_traffic
 from boresight.writing.asterix import write_asterix
 from boresight.writing.nmea import write_nmea
 from boresight.writing.rtklib import write_rtklib

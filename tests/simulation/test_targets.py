@@ -16,9 +16,10 @@ from boresight.geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_e
 from boresight.measure import polar_from_position, wrap_rad
 from boresight.model import Fixes, unpack_callsigns
 from boresight.reading import read
-from boresight.simulation.radar import Adsb, Ais, Radar, observe_adsb, observe_ais, observe_radar
+from boresight.simulation.radar import Radar, observe_radar
+from boresight.simulation.reference import Adsb, Ais, equip_aircraft, observe_adsb, observe_ais
 from boresight.simulation.targets import Target, Waypoint, check_target, script_targets
-from boresight.simulation.truth import Atmosphere, Motion, Shipping, Traffic, Truth, equip_aircraft, fly_traffic, sail_shipping
+from boresight.simulation.truth import Atmosphere, Motion, Shipping, Traffic, Truth, fly_traffic, sail_shipping
 from boresight.writing.rtklib import write_rtklib
 from boresight.writing.tables import write_table
 

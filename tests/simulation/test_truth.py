@@ -7,7 +7,8 @@ import pytest
 
 from boresight.geodesy import enu_from_ecef, geodetic_from_ecef, rotate
 from boresight.simulation import Adsb, Airport, Atmosphere, Scenario, Traffic, Truth, simulate
-from boresight.simulation.truth import equip_aircraft, fly_traffic
+from boresight.simulation.reference import equip_aircraft
+from boresight.simulation.truth import fly_traffic
 
 AIRPORT = Airport(lat_deg=41.297, lon_deg=2.083, height_m=50.0, runway_deg=246.0)
 ATMOSPHERE = Atmosphere(isa_deviation_k=8.0, shift_m=62.0)

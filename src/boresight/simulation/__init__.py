@@ -3,8 +3,8 @@
 from .demo import association_scene, demo_scene, write_demo
 from .drift import Drift, Sine, Step
 from .files import SceneFiles, write_scene
-from .radar import Adsb, Ais, AisLog, Clutter, Gaps, Noise, Radar, observe_adsb, observe_ais, observe_radar
-from .reference import Mlat, Receiver, Rtk
+from .radar import Clutter, Gaps, Noise, Radar, observe_radar
+from .reference import Adsb, Ais, AisLog, Mlat, Receiver, Rtk, observe_adsb, observe_ais
 from .scenario import Scenario, Simulated, lint_scenario, load_scenario, simulate
 from .targets import Target, Waypoint
 from .truth import Airport, Atmosphere, Shipping, Ships, Traffic, Truth

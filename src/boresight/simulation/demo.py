@@ -8,7 +8,8 @@ import numpy as np
 
 from .drift import Drift
 from .files import SceneFiles, scene_files, write_scene
-from .radar import Adsb, Ais, Radar
+from .radar import Radar
+from .reference import Adsb, Ais
 from .scenario import Scenario, simulate
 from .truth import Airport, Atmosphere, Shipping, Traffic
 

@@ -1,4 +1,4 @@
-"""What simulated radars, ADS-B and AIS say of the truth.
+"""What simulated radars say of the truth.
 
 A radar's plot is ``measured = h(truth at t - late) + sum of value * column(geometry) + noise`` with the columns of `terms`,
 stamped t: the truth is taken when the rotating antenna points at the target, not on a grid of scans.  The values may change
@@ -20,10 +20,9 @@ from ..assessment.detection import RadarEquation
 from ..errors import SettingsError
 from ..geodesy import ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate
 from ..measure import heading_about, polar_from_enu, polar_motion, position_from_polar, wrap_turn
-from ..model import Channel, Fixes, Flag, Platform, Plots, Sensor
+from ..model import Channel, Flag, Platform, Plots, Sensor
 from ..terms import Geometry, Whose, late_s, term_of
-from ..writing.asterix import Marks, accuracy_sd_m
-from ..writing.nmea import KNOT_MPS, AisPositions, AisStatics
+from ..writing.asterix import Marks
 from . import vessel
 from .drift import Drift, History, Streams, drift_mistakes, gauss_markov, history
 from .lint import Mistake
@@ -34,7 +33,6 @@ from .vessel import Vessel
 ASTERIX_RANGE_M = 1852.0 / 256
 ASTERIX_AZIMUTH_DEG = 360.0 / 65536
 ASTERIX_TIME_S = 1.0 / 128
-_HEIGHT_QUANTUM_M = 6.25 * 0.3048
 
 
 # What `Radar.noise` may be of.
@@ -227,61 +225,6 @@ def _are_spans(spans: Iterable[tuple[float, float]]) -> bool:
     return all(-math.inf < begin < end < math.inf for begin, end in spans)
 
 
-class Adsb(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An ADS-B ground station and what aircraft tell it.
-
-    `share` of the aircraft have ADS-B.  `classes` maps navigation accuracy categories (NACp) to their shares: an aircraft's
-    horizontal error has the sd of its class on each axis, `correlated` of the variance wandering with `correlation_s`, the rest
-    new in every report.  `latency_mean_s` and `latency_sd_s` are over aircraft: reports are stamped that much late.  Reports come
-    every `interval_s` (lowest, highest mean of an aircraft), each is lost with `loss`, and gaps of `gap_s` on average begin every
-    `gap_every_s` on average.
-    """
-
-    name: str = "ADS-B"
-    sac: int = 20
-    sic: int = 219
-    share: float = 0.9
-    classes: dict[str, float] = msgspec.field(default_factory=lambda: {"8": 0.15, "9": 0.35, "10": 0.4, "11": 0.1})
-    correlated: float = 0.8
-    correlation_s: float = 600.0
-    height_sd_m: float = 10.0
-    velocity_sd_mps: float = 0.4
-    latency_mean_s: float = 0.0
-    latency_sd_s: float = 0.1
-    interval_s: tuple[float, float] = (0.5, 1.0)
-    loss: float = 0.05
-    gap_every_s: float = 600.0
-    gap_s: float = 15.0
-    time_quantum_s: float = ASTERIX_TIME_S
-    identity: bool = True
-
-
-class Ais(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A shore station and what ships tell it.
-
-    Class A ships report every 10 s, every 6 s above 14 kn and every 2 s above 23 kn, three times as often while they turn, every
-    3 minutes at anchor; class B every 30 s (ITU-R M.1371); each report is lost with `loss`.  Static data go out every `static_s`.
-    A position is of a whole second of UTC, `latency_mean_s` and `latency_sd_s` (over ships) late; `correlated` of its error's
-    variance wanders with `correlation_s`.
-    """
-
-    loss: float = 0.05
-    static_s: float = 360.0
-    latency_mean_s: float = 0.0
-    latency_sd_s: float = 0.2
-    correlated: float = 0.8
-    correlation_s: float = 600.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AisLog:
-    """What the shore station received: reports, the number of the ship's target of each (n,), and static data."""
-
-    positions: AisPositions
-    target: IntArray
-    statics: AisStatics
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
     """A radar's plots in the order of their stamps, and what is true of each (n,).
@@ -400,7 +343,8 @@ def _passings(truth: Truth, radar: Radar, first_north_s: float) -> tuple[IntArra
     return target[good], seconds[good]
 
 
-def _rounded(values: FloatArray, quantum: float) -> FloatArray:
+def rounded(values: FloatArray, quantum: float) -> FloatArray:
+    """Values (n,) to the nearest multiple of the quantum; 0 leaves them as they are."""
     return np.rint(values / quantum) * quantum if quantum > 0 else values
 
 
@@ -452,7 +396,7 @@ def observe_radar(truth: Truth, radar: Radar, rng: np.random.Generator) -> Obser
     jitter = _shaped(rng.normal(0.0, 1.0, len(target)), radar, "time", target, seconds, streams)
     stamp = truth.epoch_s + seconds + late + np.where(stuck, 0.0, jitter) * radar.time_sd_s
     if radar.time_quantum_s > 0:
-        stamp = _rounded(stamp, radar.time_quantum_s)
+        stamp = rounded(stamp, radar.time_quantum_s)
     elif radar.time_sd_s == 0:
         # A POSIX time has a resolution of 0.2 us: take the truth exactly when the stamp says.
         seconds = np.clip((stamp - truth.epoch_s) - late, truth.first_s[target], truth.last_s[target])
@@ -590,18 +534,18 @@ def _plots(truth: Truth, radar: Radar, echoes: _Seen, rng: np.random.Generator) 
     target, seconds, stamp, measured, _, whose = echoes
     craft = truth.aircraft
     secondary, addressed = whose.channel != Channel.PSR, np.isin(whose.channel, (Channel.MODE_S, Channel.MODE_S_PSR))
-    azimuth = wrap_turn(_rounded(measured[:, 1], math.radians(radar.azimuth_quantum_deg)))
+    azimuth = wrap_turn(rounded(measured[:, 1], math.radians(radar.azimuth_quantum_deg)))
     columns: dict[str, AnyArray] = {
         "time_s": stamp,
         "sensor": np.full(len(target), radar.sac << 8 | radar.sic),
         "channel": whose.channel,
         "flags": whose.flags,
-        "range_m": _rounded(measured[:, 0], radar.range_quantum_m),
+        "range_m": rounded(measured[:, 0], radar.range_quantum_m),
         "azimuth_rad": azimuth,
         "track": _track_numbers(target, seconds, 5.5 * radar.scan_s, rng),
     }
     if radar.elevation_sd_deg is not None:
-        columns["elevation_rad"] = _rounded(measured[:, 2], math.radians(radar.elevation_quantum_deg))
+        columns["elevation_rad"] = rounded(measured[:, 2], math.radians(radar.elevation_quantum_deg))
         if radar.height_from_elevation:
             columns["height_m"] = geodetic_from_ecef(position_from_polar(measured, *pose(radar, seconds)))[2]
     if secondary.any():
@@ -647,7 +591,7 @@ def _nobodys(radar: Radar, n: int) -> Whose:
 def _stamped(truth: Truth, radar: Radar, errors: dict[str, History], seconds: FloatArray) -> FloatArray:
     """The stamps (n,) of echoes (n,) that no target gives."""
     late, _ = _late(radar, errors, seconds, _nobodys(radar, len(seconds)))
-    return _rounded(truth.epoch_s + seconds + late, radar.time_quantum_s)
+    return rounded(truth.epoch_s + seconds + late, radar.time_quantum_s)
 
 
 def _false(truth: Truth, radar: Radar, north: float, span: float, errors: dict[str, History], rng: np.random.Generator) -> _Seen:
@@ -706,9 +650,9 @@ def _nameless(radar: Radar, echoes: _Seen) -> Plots:
         time_s=echoes.stamp,
         sensor=np.full(count, radar.sac << 8 | radar.sic),
         channel=echoes.whose.channel,
-        range_m=_rounded(echoes.measured[:, 0], radar.range_quantum_m),
-        azimuth_rad=wrap_turn(_rounded(echoes.measured[:, 1], math.radians(radar.azimuth_quantum_deg))),
-        elevation_rad=_rounded(echoes.measured[:, 2], math.radians(radar.elevation_quantum_deg))
+        range_m=rounded(echoes.measured[:, 0], radar.range_quantum_m),
+        azimuth_rad=wrap_turn(rounded(echoes.measured[:, 1], math.radians(radar.azimuth_quantum_deg))),
+        elevation_rad=rounded(echoes.measured[:, 2], math.radians(radar.elevation_quantum_deg))
         if radar.elevation_sd_deg is not None
         else np.full(count, np.nan),
     )
@@ -733,180 +677,3 @@ def _north_marks(truth: Truth, radar: Radar, north: float, errors: dict[str, His
         longitude_rad=longitude,
         height_m=height,
     )
-
-
-def _wander(seconds: FloatArray, span_s: float, correlation_s: float, rng: np.random.Generator) -> FloatArray:
-    """A Gauss-Markov process (n, 2) of unit variance at times (n,), between values every fortieth of its correlation time."""
-    step = correlation_s / 40
-    count = int(span_s / step) + 3
-    keep = math.exp(-step / correlation_s)
-    draws = rng.normal(0.0, 1.0, (count, 2))
-    walk = np.empty((count, 2))
-    walk[0] = draws[0]
-    for k in range(1, count):
-        walk[k] = keep * walk[k - 1] + math.sqrt(1 - keep * keep) * draws[k]
-    grid = step * np.arange(count)
-    return np.stack([np.interp(seconds, grid, walk[:, axis]) for axis in (0, 1)], axis=1)
-
-
-def _without_gaps(seconds: FloatArray, span_s: float, adsb: Adsb, rng: np.random.Generator) -> BoolArray:
-    """Which times lie in no gap."""
-    count = int(rng.poisson(span_s / adsb.gap_every_s)) if adsb.gap_every_s > 0 else 0
-    begin = rng.uniform(0.0, max(span_s, 1e-9), count)
-    length = rng.exponential(max(adsb.gap_s, 1e-9), count)
-    kept = np.ones(len(seconds), np.bool_)
-    for b, duration in zip(begin, length, strict=True):
-        kept &= (seconds < b) | (seconds > b + duration)
-    return kept
-
-
-def observe_adsb(truth: Truth, adsb: Adsb, rng: np.random.Generator) -> tuple[Fixes, IntArray]:
-    """The reports of all aircraft that have ADS-B, in the order of their stamps, and each report's target (n,)."""
-    targets: list[IntArray] = []
-    stamps: list[FloatArray] = []
-    errors: list[FloatArray] = []
-    craft = truth.aircraft
-    for k, own in enumerate(rng.spawn(truth.flights)):
-        span = float(truth.last_s[k] - truth.first_s[k])
-        if craft.accuracy[k] < 0 or span < 2.0:
-            continue
-        mean = float(craft.interval_s[k])
-        stamp = truth.first_s[k] + np.cumsum(mean * own.uniform(0.9, 1.1, int(span / (0.9 * mean)) + 1))
-        stamp = _rounded(truth.epoch_s + stamp, adsb.time_quantum_s) - truth.epoch_s
-        applies = stamp - craft.latency_s[k]
-        kept = (own.random(len(stamp)) >= adsb.loss) & _without_gaps(stamp - truth.first_s[k], span, adsb, own)
-        wander = _wander(stamp - truth.first_s[k], span + 2.0, adsb.correlation_s, own)
-        white = own.normal(0.0, 1.0, (len(stamp), 6))
-        error = np.empty((len(stamp), 6))
-        sd = float(accuracy_sd_m(craft.accuracy[k : k + 1])[0])
-        error[:, :2] = sd * (math.sqrt(adsb.correlated) * wander + math.sqrt(1 - adsb.correlated) * white[:, :2])
-        error[:, 2] = adsb.height_sd_m * white[:, 2]
-        error[:, 3:] = adsb.velocity_sd_mps * white[:, 3:]
-        kept &= (applies >= truth.first_s[k]) & (applies <= truth.last_s[k])
-        targets.append(np.full(np.count_nonzero(kept), k, np.int64))
-        stamps.append(stamp[kept])
-        errors.append(error[kept])
-    if not targets:
-        return Fixes(), np.empty(0, np.int64)
-    target, stamp, error = np.concatenate(targets), np.concatenate(stamps), np.concatenate(errors)
-    order = np.argsort(stamp, kind="stable")
-    target, stamp, error = target[order], stamp[order], error[order]
-
-    motion = truth.motion(target, stamp - craft.latency_s[target], derivatives=1)
-    latitude, longitude, height = geodetic_from_ecef(motion.position)
-    rotation = enu_from_ecef(latitude, longitude)
-    shifted = motion.position + np.einsum("nij,ni->nj", rotation[:, :2], error[:, :2])
-    velocity = rotate(rotation, motion.velocity) + error[:, 3:]
-    quantum = craft.altitude_quantum_m[target]
-    altitude = truth.atmosphere.pressure_m(height) + craft.altimetry_m[target]
-    latitude, longitude, _ = geodetic_from_ecef(shifted)
-    known, nobody = adsb.identity, np.full(len(target), -1)
-    accuracy = craft.accuracy[target]
-    fixes = Fixes(
-        time_s=truth.epoch_s + stamp,
-        source=np.full(len(target), adsb.sac << 8 | adsb.sic),
-        channel=np.full(len(target), Channel.ADS_B),
-        latitude_rad=latitude,
-        longitude_rad=longitude,
-        height_m=np.rint((height + error[:, 2]) / _HEIGHT_QUANTUM_M) * _HEIGHT_QUANTUM_M,
-        pressure_altitude_m=np.rint(altitude / quantum) * quantum,
-        velocity_east_mps=velocity[:, 0],
-        velocity_north_mps=velocity[:, 1],
-        velocity_up_mps=velocity[:, 2],
-        mode_s=craft.mode_s[target] if known else nobody,
-        mode_3a=craft.mode_3a[target] if known else nobody,
-        callsign=craft.callsign[target] if known else nobody,
-        track=rng.permutation(4095)[target] + 1,
-        horizontal_sd_m=accuracy_sd_m(accuracy),
-        vertical_sd_m=np.full(len(target), adsb.height_sd_m),
-        flags=np.full(len(target), int(Flag.TIME_OF_RECEPTION)),
-        record=np.arange(len(target)),
-    )
-    return fixes, target
-
-
-def observe_ais(truth: Truth, ais: Ais, rng: np.random.Generator) -> AisLog:
-    """The reports and static data of all ships, each in the order of sending."""
-    ships = truth.ships
-    targets: list[IntArray] = []
-    applies: list[FloatArray] = []
-    sent: list[FloatArray] = []
-    errors: list[FloatArray] = []
-    told: list[tuple[FloatArray, IntArray]] = []
-    for k, own in enumerate(rng.spawn(len(ships))):
-        target = truth.flights + k
-        span = float(truth.last_s[target] - truth.first_s[target])
-        grid = truth.first_s[target] + np.arange(0.0, span, STEP_S)
-        motion = truth.motion(np.full(len(grid), target), grid, derivatives=2)
-        speed = np.sqrt(np.einsum("ij,ij->i", motion.velocity, motion.velocity)) / KNOT_MPS
-        # Turning: more than 5 degrees in 30 seconds, as the standard has it.
-        course = np.unwrap(truth.course_rad(motion.position, motion.velocity))
-        turned = np.abs(course - course[np.maximum(np.arange(len(grid)) - 30, 0)]) > math.radians(5.0)
-        every = np.where(speed > 23.0, 2.0, np.where(speed > 14.0, 6.0, 10.0)) / np.where(turned & (speed <= 23.0), 3.0, 1.0)
-        every = np.where(speed <= 3.0, 180.0, 30.0 if ships.class_b[k] else every)
-        when: list[float] = []
-        now = float(own.uniform(0.0, every[0])) if len(grid) else span
-        while now < span - 1.0:
-            when.append(now)
-            # Slots are taken within a tenth of the interval about the nominal time.
-            now += float(every[int(now)]) * (0.9 + 0.2 * own.random())
-        going_out = truth.epoch_s + truth.first_s[target] + np.array(when)
-        # The receiver's last fix on a whole second.
-        fix = np.floor(going_out - own.uniform(0.1, 0.9, len(when)))
-        kept = own.random(len(when)) >= ais.loss
-        at = fix - ships.latency_s[k] - truth.epoch_s
-        kept &= (at >= truth.first_s[target]) & (at <= truth.last_s[target])
-        wander = _wander(at[kept] - truth.first_s[target], span + 2.0, ais.correlation_s, own)
-        white = own.normal(0.0, 1.0, (len(wander), 2))
-        errors.append(ships.position_sd_m[k] * (math.sqrt(ais.correlated) * wander + math.sqrt(1 - ais.correlated) * white))
-        targets.append(np.full(len(wander), target, np.int64))
-        applies.append(fix[kept])
-        sent.append(going_out[kept])
-        static = truth.epoch_s + truth.first_s[target] + np.arange(float(own.uniform(0.0, ais.static_s)), span, ais.static_s)
-        told.append((static, np.full(len(static), k, np.int64)))
-    out = np.concatenate([np.empty(0), *sent])
-    order = np.argsort(out, kind="stable")
-    out, fix = out[order], np.concatenate([np.empty(0), *applies])[order]
-    whose = np.concatenate([np.empty(0, np.int64), *targets])[order]
-    error = np.concatenate([np.empty((0, 2)), *errors])[order]
-    row = whose - truth.flights
-
-    seconds = fix - ships.latency_s[row] - truth.epoch_s
-    motion = truth.motion(whose, seconds, derivatives=1)
-    latitude, longitude, _ = geodetic_from_ecef(motion.position)
-    rotation = enu_from_ecef(latitude, longitude)
-    heading = truth.heading_rad(whose, seconds, motion)
-    # The antenna stands ahead of the middle of the hull by `ahead`, and right of it by `right`.
-    ahead, right = ships.length_m[row] / 2 - ships.bow_m[row], ships.port_m[row] - ships.width_m[row] / 2
-    east = ahead * np.sin(heading) + right * np.cos(heading) + error[:, 0]
-    north = ahead * np.cos(heading) - right * np.sin(heading) + error[:, 1]
-    antenna = motion.position + east[:, None] * rotation[:, 0] + north[:, None] * rotation[:, 1]
-    latitude, longitude, _ = geodetic_from_ecef(antenna)
-    velocity = rotate(rotation, motion.velocity)
-    positions = AisPositions(
-        sent_s=np.asarray(out, np.float64),
-        mmsi=ships.mmsi[row],
-        class_b=ships.class_b[row],
-        latitude_rad=latitude,
-        longitude_rad=longitude,
-        speed_mps=np.hypot(velocity[:, 0], velocity[:, 1]),
-        course_rad=np.arctan2(velocity[:, 0], velocity[:, 1]),
-        heading_rad=np.where(ships.class_b[row], np.nan, heading + ships.gyro_rad[row]),
-        second=np.asarray(fix % 60, np.int64),
-        accurate=ships.position_sd_m[row] < 3.0,
-    )
-    when_told = np.concatenate([np.empty(0), *(t for t, _ in told)])
-    order = np.argsort(when_told, kind="stable")
-    row = np.concatenate([np.empty(0, np.int64), *(k for _, k in told)])[order]
-    statics = AisStatics(
-        sent_s=np.asarray(when_told[order], np.float64),
-        mmsi=ships.mmsi[row],
-        class_b=ships.class_b[row],
-        callsign=ships.callsign[row],
-        ship_type=ships.ship_type[row],
-        bow_m=ships.bow_m[row],
-        stern_m=ships.length_m[row] - ships.bow_m[row],
-        port_m=ships.port_m[row],
-        starboard_m=ships.width_m[row] - ships.port_m[row],
-    )
-    return AisLog(positions, whose, statics)

@@ -24,24 +24,24 @@ from ..writing.asterix import Marks
 from ..writing.rtklib import FIXED_SD_M, FLOAT_SD_M
 from .drift import Drift, Sine
 from .lint import Mistake, Place, decode, line_of, lines_of, nearest
-from .radar import (
-    NOISES,
+from .radar import NOISES, Clutter, Gaps, Noise, Observation, Radar, observe_radar, radar_mistakes
+from .reference import (
     Adsb,
     Ais,
     AisLog,
-    Clutter,
-    Gaps,
-    Noise,
-    Observation,
-    Radar,
+    Mlat,
+    Receiver,
+    Rtk,
+    check_mlat,
+    check_rtk,
+    equip_aircraft,
     observe_adsb,
     observe_ais,
-    observe_radar,
-    radar_mistakes,
+    observe_mlat,
+    observe_rtk,
 )
-from .reference import Mlat, Receiver, Rtk, check_mlat, check_rtk, observe_mlat, observe_rtk
 from .targets import Target, is_ship, script_targets, target_faults
-from .truth import Airport, Atmosphere, Shipping, Traffic, Truth, equip_aircraft, fly_traffic, sail_shipping
+from .truth import Airport, Atmosphere, Shipping, Traffic, Truth, fly_traffic, sail_shipping
 from .vessel import Vessel
 
 _KINDS = ("psr", "ssr", "mode_s", "combined", "marine")

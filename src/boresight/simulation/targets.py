@@ -21,12 +21,14 @@ from ..errors import InputError, SettingsError
 from ..geodesy import E2, SEMI_MAJOR_M, ecef_from_geodetic, enu_from_ecef, geodetic_from_ecef, rotate
 from ..measure import position_from_height, position_from_plane
 from ..model import Fixes, Recording, Sensors, Tracks, pack_callsigns, unpack_callsigns
-from .truth import GRAVITY_MPS2, STEP_S, Aircraft, Atmosphere, Ships, Traffic, Truth, equip_aircraft, smooth_curve
+from .reference import equip_aircraft
+from .truth import GRAVITY_MPS2, STEP_S, Aircraft, Atmosphere, Ships, Traffic, Truth, smooth_curve
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from .radar import Adsb, Ais, Radar
+    from .radar import Radar
+    from .reference import Adsb, Ais
 
 
 class Waypoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -21,7 +21,6 @@ from ..model import pack_callsigns
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
-    from .radar import Adsb
 
 GRAVITY_MPS2 = 9.80665
 FLIGHT_LEVEL_M = 30.48
@@ -99,40 +98,6 @@ class Aircraft:
     accuracy: IntArray
     latency_s: FloatArray
     interval_s: FloatArray
-
-
-_AIRLINES = ("IBE", "VLG", "RYR", "AFR", "DLH", "BAW", "EZY", "KLM", "SWR", "TAP")
-
-
-def equip_aircraft(n: int, traffic: Traffic, adsb: Adsb | None, rng: np.random.Generator) -> Aircraft:
-    """Addresses, codes, callsigns and equipment of `n` aircraft.  Exact shares of ADS-B and of its classes, in random order."""
-    names = [
-        f"{_AIRLINES[int(a)]}{int(b)}"
-        for a, b in zip(rng.integers(0, len(_AIRLINES), n), rng.choice(9000, n, replace=False) + 1, strict=True)
-    ]
-    accuracy = np.full(n, -1, np.int64)
-    latency, interval = np.zeros(n), np.full(n, 1.0)
-    if adsb is not None:
-        equipped = rng.permutation(n)[: round(adsb.share * n)]
-        shares = np.array(list(adsb.classes.values()), np.float64)
-        bounds = np.rint(np.cumsum(shares) / shares.sum() * len(equipped)).astype(np.int64)
-        accuracy[equipped] = np.array([int(c) for c in adsb.classes])[
-            np.searchsorted(bounds, np.arange(len(equipped)), side="right")
-        ]
-        latency = adsb.latency_mean_s + adsb.latency_sd_s * rng.normal(0.0, 1.0, n)
-        interval = rng.uniform(*adsb.interval_s, n)
-    return Aircraft(
-        mode_s=rng.choice(0xEFFFFF, n, replace=False) + 1,
-        mode_3a=rng.choice(0o6777, n, replace=False) + 1,
-        callsign=pack_callsigns(names),
-        length_m=rng.choice([28.0, 33.8, 37.6, 39.5, 44.5, 63.7, 73.9], n, p=[0.1, 0.15, 0.35, 0.2, 0.1, 0.07, 0.03]),
-        transponder_delay_m=traffic.delay_sd_m * rng.normal(0.0, 1.0, n),
-        altimetry_m=traffic.altimetry_sd_m * rng.normal(0.0, 1.0, n),
-        altitude_quantum_m=np.where(rng.random(n) < 0.8, 25.0, 100.0) * 0.3048,
-        accuracy=accuracy,
-        latency_s=latency,
-        interval_s=interval,
-    )
 
 
 class Shipping(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
