@@ -16,10 +16,10 @@ import time
 
 import numpy as np
 
-from boresight.alignment import targets_of
 from boresight.association import Association, search
 from boresight.simulation import Simulated, simulate
 from boresight.simulation.demo import association_scene
+from boresight.targets import targets_of
 
 
 def score(run: Simulated, found: Association) -> dict[str, float]:

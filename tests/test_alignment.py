@@ -15,6 +15,7 @@ from boresight import alignment, geodesy, measure
 from boresight.errors import InputError, NothingToDo, SettingsError
 from boresight.heights import height_profile
 from boresight.model import Channel, Fixes, Flag, Plots, Sensor, Sensors, Source
+from boresight.targets import targets_of
 
 LAT, LON = np.radians(41.3), np.radians(2.1)
 ORIGIN, ROTATION = geodesy.ecef_from_geodetic(LAT, LON, 0.0), geodesy.enu_from_ecef(LAT, LON)
@@ -409,7 +410,7 @@ def test_targets_by_address_mmsi_callsign_track() -> None:
         callsign=[-1, -1, -1, -1, 77, 77, -1, -1, -1],
         track=[-1, -1, -1, -1, -1, -1, 3, 3, -1], source=[5, 6, 5, 6, 5, 6, 5, 6, 5],
     )  # fmt: skip
-    target = alignment.targets_of(fixes)
+    target = targets_of(fixes)
     assert target.tolist() == [0, 0, 1, 1, 2, 2, 3, 4, -1]
 
 
@@ -419,7 +420,7 @@ def test_a_record_without_address_takes_that_of_its_track_or_callsign() -> None:
         track=[1, 1, 1, 1, -1, -1], callsign=[-1, -1, -1, -1, 77, 77],
         source=[5, 5, 5, 5, 6, 7],
     )  # fmt: skip
-    target = alignment.targets_of(fixes)
+    target = targets_of(fixes)
     assert target[1] == target[2] == target[0]
     assert target[3] != target[0]
     assert target[4] == target[5] != target[0]
@@ -427,7 +428,7 @@ def test_a_record_without_address_takes_that_of_its_track_or_callsign() -> None:
 
 def test_a_track_number_used_again_after_a_pause_is_another_target() -> None:
     fixes = _named(time_s=[0.0, 100, 200, 600, 700], track=[4, 4, 4, 4, 4])
-    assert alignment.targets_of(fixes).tolist() == [0, 0, 0, 1, 1]
+    assert targets_of(fixes).tolist() == [0, 0, 0, 1, 1]
 
 
 @settings(max_examples=40)
@@ -441,7 +442,7 @@ def test_targets_do_not_depend_on_the_order(rows: list[tuple[int, int, int, int]
     fixes = _named(mode_s=mode_s, track=track, time_s=time + np.arange(len(rows)) * 1e-3, source=source)
     order = list(range(len(rows)))
     random.shuffle(order)
-    assert np.array_equal(alignment.targets_of(fixes.take(np.array(order))), alignment.targets_of(fixes)[order])
+    assert np.array_equal(targets_of(fixes.take(np.array(order))), targets_of(fixes)[order])
 
 
 # ---------------------------------------------------------------------------------------------------------------- locate

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from boresight import flow
-from boresight.alignment import targets_of
 from boresight.errors import InputError, NothingToDo, SettingsError
 from boresight.model import Fixes, Plots, Recording, Source, load_sensors
 from boresight.simulation import write_demo
+from boresight.targets import targets_of
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from boresight.model import Atmosphere, Fixes, Flag, Plots, Sensor, Sensors, loa
 from boresight.reading import read
 from boresight.simulation import Adsb, Airport, Scenario, Simulated, Traffic, simulate
 from boresight.simulation import Atmosphere as Air
+from boresight.targets import targets_of
 
 AIRPORT = Airport(lat_deg=41.3, lon_deg=2.1, height_m=54.0)
 FL360_M = 360 * 30.48
@@ -195,7 +196,7 @@ def test_real_traffic_foretells_other_traffic(data: Path) -> None:
     if not path.exists():
         pytest.skip(f"{path} is not there")
     fixes = read(path).fixes
-    target = alignment.targets_of(fixes)
+    target = targets_of(fixes)
     known = np.isfinite(fixes.height_m) & np.isfinite(fixes.pressure_altitude_m) & (target >= 0)
     known &= (fixes.flags & np.uint32(Flag.GROUND)) == 0
     fold = np.random.default_rng(0).permutation(int(target.max()) + 1) % 5

@@ -857,8 +857,8 @@ def _target_names(fixes: Fixes, used: IntArray) -> dict[int, str]:
     """What the reference calls the targets that were paired."""
     import numpy as np
 
-    from .alignment import targets_of
     from .model import unpack_callsigns
+    from .targets import targets_of
 
     target = targets_of(fixes)
     rows = np.flatnonzero(np.isin(target, used))

@@ -16,6 +16,7 @@ import numpy as np
 
 from ._types import FloatArray, IntArray
 from .model import Fixes, Flag, Plots, Sensors
+from .targets import targets_of
 
 TRAFFIC, SENSORS_TOML, STANDARD = "traffic", "sensors.toml", "standard atmosphere"
 
@@ -174,8 +175,6 @@ class _Cells(NamedTuple):
 
 def _cells(fixes: Fixes) -> _Cells | None:
     """The cells of all targets that tell both altitudes; None where too few reports do."""
-    from .alignment import targets_of
-
     both = np.isfinite(fixes.height_m) & np.isfinite(fixes.pressure_altitude_m) & np.isfinite(fixes.time_s)
     both &= (fixes.flags & np.uint32(Flag.GROUND)) == 0
     rows = np.flatnonzero(both)

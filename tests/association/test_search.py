@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from association_traffic import LAT, LON, Scene, radar, scene, wrong
 
-from boresight.alignment import targets_of
 from boresight.association import AssociationSettings, associate, search
 from boresight.errors import InputError, NothingToDo, SettingsError
 from boresight.model import Fixes, Flag, Pairs, Plots, Sensors, pack_callsigns
 from boresight.simulation import simulate
 from boresight.simulation.demo import association_scene
+from boresight.targets import targets_of
 
 
 def find(s: Scene, **options):

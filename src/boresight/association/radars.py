@@ -12,6 +12,7 @@ from ..errors import NothingToDo, SettingsError
 from ..geodesy import geodetic_from_ecef
 from ..measure import plot_positions
 from ..model import EXCLUDED, Fixes, Pairs, Plots, Sensor, Sensors
+from ..targets import targets_of
 from . import search
 from .settings import AssociationSettings, assumed
 
@@ -69,7 +70,7 @@ def shared_targets(plots: Plots, sensors: Sensors, main: Sensor, settings: Assoc
             f"no plot of the main radar {main.name!r} tells a height, so that none can be placed",
             remedy="Elevations or pressure altitudes are needed, or a reference (--reference).",
         )
-    own = alignment.targets_of(fixes)
+    own = targets_of(fixes)
     if not (own >= 0).any():
         raise NothingToDo(
             f"the radars have no identity in common, and the plots of {main.name!r} carry no track numbers",

@@ -686,7 +686,7 @@ def _fixes_of(tracks: Tracks) -> Fixes:
 
 def _one_of(fixes: Fixes, target: Target) -> tuple[Fixes, _Who]:
     """The fixes of the one target that is meant, and its identity.  Raises SettingsError where that is not one."""
-    from ..alignment import targets_of
+    from ..targets import targets_of
 
     rows = np.ones(len(fixes), np.bool_)
     asked = []

@@ -13,7 +13,6 @@ import numpy as np
 
 from .. import frames
 from .._types import FloatArray
-from ..alignment import targets_of
 from ..assessment.distribution import distribution
 from ..association import search
 from ..association.cluster import Traces, TrackMatch
@@ -54,6 +53,7 @@ from ..report.drawing import (
     to_svg,
 )
 from ..simulation import Simulated, association_scene, simulate
+from ..targets import targets_of
 from ..terms import TERMS, Geometry
 from .table import Row, Settings, Study, row
 
