@@ -71,6 +71,24 @@ def test_the_tutorial_runs_block_after_block(
     assert f"--date {names['files'].date.isoformat()}" in page.read_text(encoding="utf-8")
 
 
+def test_the_page_on_which_method_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    """Its code runs, the default leaves the least, and its tables name every method for every radar."""
+    page = ROOT / "docs" / "which-method.md"
+    names: dict[str, object] = {}
+    for k, block in enumerate(blocks(page)):
+        exec(compile(block, f"{page.name}, block {k + 1}", "exec"), names)
+    left = [int(value) for value in re.findall(r"held out (\d+) m", capsys.readouterr().out)]
+    assert len(left) == 4
+    assert left[0] == min(left)
+    text = page.read_text(encoding="utf-8")
+    made = text.split("<!-- made by benchmarks/compare_methods.py -->")
+    assert len(made) == 3
+    for method in METHODS:
+        assert made[1].count(f"\n| {method} |") == 4, method
+    for image in re.findall(r"\(images/(\S+)\)", text):
+        assert (ROOT / "docs" / "images" / image).is_file()
+
+
 def test_the_page_on_corrected_recordings_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
