@@ -137,11 +137,21 @@ def test_one_straight_track_leaves_the_turn_about_itself_as_wide_as_it_was_assum
     assert np.isfinite(found.covariance).all()
 
 
+@pytest.mark.parametrize("shift_m", [0.0, 50.0])
+def test_a_straight_track_without_any_noise_has_a_transform(shift_m: float) -> None:
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        true = np.outer(rng.uniform(-1e5, 1e5, 60), [1.0, 1.0, 0.0])
+        found = RansacIcp()(Clouds(true + shift_m, true, np.zeros(60, int)))
+        assert np.isfinite(found.covariance).all()
+        np.testing.assert_allclose(found(true + shift_m), true, atol=1e-3)
+
+
 def test_the_page_on_these_methods_runs(capsys: pytest.CaptureFixture[str]) -> None:
     page = Path(__file__).parents[2] / "docs" / "adsb-registration.md"
-    (block,) = re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.S | re.M)
     names: dict[str, object] = {}
-    exec(compile(block, page.name, "exec"), names)
+    for block in re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.S | re.M):
+        exec(compile(block, page.name, "exec"), names)
     assert "closed form" in capsys.readouterr().out
     found = names["found"]
     middle = names["measured"].mean(axis=0)

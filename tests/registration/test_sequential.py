@@ -388,6 +388,27 @@ def test_pairs_give_samples_and_the_other_terms_stay() -> None:
     assert len(clean) == len(s.pairs)
 
 
+def test_what_the_constant_terms_are_wrong_by_is_in_the_biases() -> None:
+    """Cov(bias) grows by G C G', with C of the constant terms and G = cov(bias, terms) / C: where C is wide, by a lot."""
+    sensors = Sensors((Sensor(name="A", sac=1, sic=1, lat_deg=46.0, lon_deg=14.0, height_m=300.0),))
+    s = scene(3, {"A": {"azimuth_bias": 0.2 * DEG}}, sensors=sensors, targets=12)
+    sensor = s.sensors.sensor[0]
+    static = register(s.pairs, s.sensors, model=("range_bias", "azimuth_bias", "azimuth_cos", "azimuth_sin"))
+    assert [k.name for k in static.terms] == ["range_bias", "azimuth_bias", "azimuth_cos", "azimuth_sin"]
+    # As if far fewer plots had told them.
+    static = dataclasses.replace(static, covariance=static.covariance * 100)
+    mine = online_samples(s.pairs, s.sensors, beside=static)[sensor.key]
+    found, alone = register_online(mine, sensor, beside=static), register_online(mine, sensor)
+    c = static.covariance[0]
+    gain = c[:2, 2:] @ np.linalg.inv(c[2:, 2:])
+    for k in (0, 200, 400):
+        np.testing.assert_allclose(found.covariance[k, :2, :2], alone.covariance[k] + gain @ c[2:, 2:] @ gain.T, rtol=1e-8)
+        np.testing.assert_allclose(found.covariance[k, :2, 2:], c[:2, 2:])
+        size = found.sd[k]
+        assert np.linalg.eigvalsh(found.covariance[k] / size[:, None] / size).min() > 0
+    assert found.sd[-1, 1] > 1.5 * alone.sd[-1, 1]
+
+
 def test_bad_samples_are_left_out_or_said() -> None:
     z = drawn(5)
     holed = samples(z)

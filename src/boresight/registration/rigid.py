@@ -324,9 +324,11 @@ def _solve(z: FloatArray, y: FloatArray) -> _Solved:
         p = np.einsum("bij,bmj->bmi", rotation, q)
         left = e - p
         noise = np.einsum("bmi,bmi->b", left, left) / max(3 * z.shape[1] - 6, 1)
-        held = noise / np.radians(_TURN_SD_DEG) ** 2 + 1e-9
         outer = np.einsum("bmi,bmj->bij", p, p)
-        inertia = np.einsum("bii->b", outer)[:, None, None] * np.eye(3) - outer
+        size = np.einsum("bii->b", outer)
+        # Where the pairs have no noise either, the prior still has to be seen beside the size of the cloud.
+        held = noise / np.radians(_TURN_SD_DEG) ** 2 + 1e-9 + 1e-12 * size
+        inertia = size[:, None, None] * np.eye(3) - outer
         pull = np.cross(p, left).sum(axis=1) - held[:, None] * _log(rotation)
         step = np.linalg.solve(inertia + held[:, None, None] * np.eye(3), pull[..., None])[..., 0]
         rotation = _exp(step) @ rotation
@@ -355,7 +357,7 @@ def _finish(clouds: Clouds, used: BoolArray, found: _Solved, iterations: int, en
     n = len(z)
     outer = p.T @ p
     noise = float(np.einsum("ni,ni->", e, e)) / max(3 * n - 6, 1)
-    held = noise / np.radians(_TURN_SD_DEG) ** 2 + 1e-9
+    held = noise / np.radians(_TURN_SD_DEG) ** 2 + 1e-9 + 1e-12 * float(np.trace(outer))
     information = np.zeros((6, 6))
     information[:3, :3] = np.trace(outer) * np.eye(3) - outer + held * np.eye(3)
     information[3:, 3:] = n * np.eye(3)
