@@ -243,6 +243,13 @@ def _refusal(
             f"and only ±{window.time_s:.1f} s was searched",
             remedy=f"If that is so, set time_offset_s = {late + scene.sensor.time_offset_s:.1f} for {name!r} in sensors.toml.",
         )
+    usable = len(tracks.order) + len(tracks.alone)
+    if usable < scene.settings.min_plots:
+        return NothingToDo(
+            f"{name}: only {usable} of its plots can be used, and at least {scene.settings.min_plots} plots of one target are "
+            "needed",
+            remedy="Record longer.",
+        )
     if looked_at < needed and not _single(tracks, units):
         return NothingToDo(
             f"{because}its {len(tracks.order)} plots form {looked_at or 'no'} track{'s' * (looked_at != 1)} of at least "
