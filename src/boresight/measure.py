@@ -152,7 +152,7 @@ def sensors_of(plots: Plots, sensors: Sensors) -> dict[int, Sensor]:
             raise SettingsError(
                 f"the sensor {sensor.name!r} has no position",
                 where="sensors.toml",
-                remedy="Give lat_deg, lon_deg and height_m (ellipsoidal) of its antenna.",
+                remedy="Give lat_deg, lon_deg and height_m (ellipsoidal) of its antenna; if it moves, a recording of its way.",
             )
         found[key] = sensor
     return found

@@ -341,6 +341,11 @@ def view_of(platform: Platform, sensor: Sensor) -> tuple[View, Sensor, tuple[str
     level = float(np.median(heights)) if len(heights) else 0.0
     level = level if antenna is None else antenna - float(arm[2])
     said = [f"{sensor.name}: its platform moves: the reference is taken relative to it, and the map is about the radar"]
+    if sensor.lever_arm_m is None:
+        said[0] += (
+            "; sensors.toml has no lever_arm_m, so the antenna is taken to be where own ship's position is told: what lies "
+            "between them looks like wrong stamps, an extent of the targets or a shift of the site, and nothing tells which"
+        )
     heading = _curve(own.time_s, own.heading_rad, _MAX_GAP_S)
     roll, pitch = (_curve(own.time_s, angle, _SWING_GAP_S) for angle in (own.roll_rad, own.pitch_rad))
     if len(heading.time_s) < 2:

@@ -306,7 +306,10 @@ def verdict(found: Distribution, unit: str) -> str:
     """The shape of the errors, and the step in which they were measured, in words."""
     words = shape_words(found)
     if found.step > 0:
-        share = f", {100 * (found.step_sd / found.sd) ** 2:.2g} % of the variance" if found.sd > 0 else ""
+        share = ""
+        if found.sd > 0:
+            percent = min(100 * (found.step_sd / found.sd) ** 2, 100.0)
+            share = f", {percent:{'.0f' if percent >= 10 else '.2g'}} % of the variance"
         words += f"; measured in steps of {step_words(found.step, unit)} (sd {found.step_sd:.2g} {unit}{share})"
     return words
 
@@ -562,7 +565,10 @@ def student_fit(x: FloatArray, *, worth: float | None = None) -> Student:
 
     middle = float(np.median(x))
     # Each search begins where the last one ended: the degrees of freedom hardly move the place.
-    at = [middle, float(max(np.median(np.abs(x - middle)) * 1.4826, x.std() * 1e-3) ** 2)]
+    core = _robust(x)
+    at = [middle, float(max(core, x.std() * 1e-3) ** 2)]
+    # Where most values are equal, the likeliest scale is none at all.
+    least = (1e-3 * (core or float(x.std()))) ** 2
 
     def fitted(log_freedom: float) -> tuple[float, float]:
         freedom = float(np.exp(log_freedom))
@@ -570,7 +576,7 @@ def student_fit(x: FloatArray, *, worth: float | None = None) -> Student:
         for _ in range(200):
             weight = (freedom + 1) / (freedom + (x - location) ** 2 / scale2)
             new = float((weight * x).sum() / weight.sum())
-            new2 = float((weight * (x - new) ** 2).mean())
+            new2 = max(float((weight * (x - new) ** 2).mean()), least)
             done = abs(new2 / scale2 - 1) < 1e-8 and abs(new - location) < 1e-8 * np.sqrt(scale2)
             location, scale2 = new, new2
             if done:

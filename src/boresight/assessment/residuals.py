@@ -34,6 +34,8 @@ from ..registration.observe import fill_lengths
 from ..terms import TERMS, Geometry, Whose, late_s, order_of, touches
 
 _LEAST_SPEED_MPS = 1.0
+# No radar is off by more.
+_FARTHEST_M = 1e9
 # Rows that are worked on at a time: large enough for NumPy, small enough for the processor's cache.
 _CHUNK = 1 << 14
 
@@ -128,7 +130,16 @@ def load_residuals(path: str | Path) -> Residuals:
             if (column < 0).any():
                 raise InputError("has a channel that does not exist", path=path)
         out[f.name] = np.ascontiguousarray(np.radians(column) if angle else column, f.metadata["dtype"])
-    return Residuals(**out)
+    read = Residuals(**out)
+    for name in ("range_before_m", "range_after_m"):
+        largest = float(np.nan_to_num(np.abs(getattr(read, name))).max(initial=0.0))
+        if largest > _FARTHEST_M:
+            raise InputError(
+                f"holds {name} of {largest:.3g} m, which no radar can measure",
+                path=path,
+                remedy="Leave such plots out, and calibrate again.",
+            )
+    return read
 
 
 def _residuals(pairs: Pairs, rows: IntArray, sensor: Sensor, calibration: Calibration) -> dict[str, AnyArray]:

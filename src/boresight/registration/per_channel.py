@@ -20,6 +20,7 @@ from ..calibration import Accuracy, Calibration, Noise, NotDetermined, Summary, 
 from ..errors import NothingToDo, SettingsError
 from ..model import Pairs, Sensor, Sensors
 from ..terms import DEG, TERMS, Geometry, Term, Whose
+from .least_squares import typical_own
 from .observe import CHUNK, Observed, distances, geometry, linearise, observe, unusable
 
 Order = Literal["constant", "first-order", "second-order"]
@@ -31,6 +32,8 @@ _NOTHING = 1e-12
 # Blocks that stand in for tracks where these are fewer, and folds of the cross-validation.
 _BLOCKS = 20
 _FOLDS = 5
+# With fewer targets, what a target keeps for itself is also assumed, not only seen.
+FEW_TARGETS = 12
 _PASSES = 20
 # A column, scaled, of which less than this is left beside the others makes the joint fit useless.
 _JOINT_TOLERANCE = 1e-5
@@ -229,6 +232,18 @@ def inflation(residual: FloatArray, block: IntArray) -> float:
     total = np.bincount(block, residual)[some]
     # Of blocks with n plots each: E (sum)² = n σ² for white noise.
     return float(max(1.0, (total**2).sum() / (number[some].sum() * np.mean(residual**2))))
+
+
+def own_sd(seen: Observed) -> FloatArray:
+    """The typical sd (3,) of what a target keeps for itself, in range, azimuth and elevation."""
+    typical, far = typical_own(seen), max(float(np.median(seen.measured[:, 0])), 1.0)
+    return np.array(
+        [
+            np.hypot(typical["range_bias"], typical["site_east"]),
+            np.hypot(typical["azimuth_bias"], typical["site_east"] / far),
+            np.hypot(typical.get("elevation_bias", 0.0), typical.get("site_up", 0.0) / far),
+        ]
+    )
 
 
 class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag="per-channel"):
@@ -661,7 +676,18 @@ def _joint(
     count = int(some.sum())
     # The model's shape, and the scale that errors shared within tracks give it.
     scale = (spread**2).sum() / len(kept) * count / max(count - 1, 1)
-    covariance = (root @ root.T) * size[:, None] * size * max(scale, 1.0)
+    shape = (root @ root.T) * size[:, None] * size
+    covariance = shape * max(scale, 1.0)
+    targets = len(seen.cluster_key)
+    if targets < FEW_TARGETS:
+        # A handful of targets does not show how targets differ: what each keeps for itself moves the values so.
+        push = np.zeros((targets, 3, len(kept)))
+        for part in slices(len(seen), CHUNK):
+            weight = seen.weight[part, None] * fitted.inliers[part] / sd**2
+            columns = np.nan_to_num(linearise(seen, part, mine, value[kept])[2])
+            np.add.at(push, seen.cluster[part], np.where(weight[:, :, None] > 0, columns * weight[:, :, None], 0.0))
+        moved = push @ shape * own_sd(seen)[:, None]
+        covariance = covariance + np.einsum("tcp,tcq->pq", moved, moved)
     return value[kept], (covariance + covariance.T) / 2, kept, lost
 
 

@@ -195,6 +195,13 @@ def _check_plots(plots: Plots) -> None:
     _refuse(plots.track > 0xFFF, "a track number is above 4095, the largest that ASTERIX holds", "Number the tracks anew.")
 
 
+def _range(range_m: FloatArray, lsb_m: float, what: str, remedy: str) -> IntArray:
+    """Ranges (n,) in quanta; raises InputError, saying `what`, for those that two octets do not hold."""
+    quanta = np.rint(range_m / lsb_m)
+    _refuse(quanta > 0xFFFF, what, remedy)
+    return quanta.astype(np.int64)
+
+
 def _identity(items: _Items, column: AnyArray, frn: int, count: int) -> None:
     items.add(frn, _bytes(column.astype(np.int64), count), column >= 0)
 
@@ -221,8 +228,8 @@ def _encode_048(plots: Plots) -> _Encoded:
     items.add(3, _bytes(_octet((kind, 5), (simulated, 4), (chain, 3), (monitor, 1), (test, 0)), 1))
     items.add(0, _bytes(none + 0x80, 1), test)
 
-    quanta = np.rint(plots.range_m / (NAUTICAL_MILE_M / 256)).astype(np.int64)
-    _refuse(quanta > 0xFFFF, "a range is above 256 NM, the longest that I048/040 holds", "Leave such rows out.")
+    what = "a range is above 256 NM, the longest that I048/040 holds"
+    quanta = _range(plots.range_m, NAUTICAL_MILE_M / 256, what, "Leave such rows out.")
     items.add(4, np.concatenate([_bytes(quanta, 2), _bytes(_angle(plots.azimuth_rad, 16), 2)], axis=1))
 
     garbled = _flag(flags, Flag.GARBLED)
@@ -285,8 +292,8 @@ def _encode_010(plots: Plots) -> _Encoded:
     items.add(3, _bytes(_octet((kind, 5), (_flag(flags, Flag.GROUND), 2), (garbled, 1), (more, 0)), 1))
     items.add(0, _bytes(_octet((simulated, 7), (test, 6), (monitor, 5), (vehicle, 2)), 1), more)
     items.add(4, _bytes(_time_of_day(plots.time_s), 3))
-    quanta = np.rint(plots.range_m).astype(np.int64)
-    _refuse(quanta > 0xFFFF, "a range is above 65,535 m, the longest that I010/040 holds", "Write CAT048 instead (category=48).")
+    what = "a range is above 65,535 m, the longest that I010/040 holds"
+    quanta = _range(plots.range_m, 1.0, what, "Write CAT048 instead (category=48).")
     items.add(6, np.concatenate([_bytes(quanta, 2), _bytes(_angle(plots.azimuth_rad, 16), 2)], axis=1))
     _identity(items, plots.track, 10, 2)
     ended = _flag(flags, Flag.TRACK_END)
