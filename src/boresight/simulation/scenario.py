@@ -482,10 +482,16 @@ def _radar_mistakes(radar: Radar) -> Iterator[Mistake]:
             continue
         if "elevation" in needs and radar.elevation_sd_deg is None:
             yield Mistake(at, f"{term} needs a radar that measures elevation", "Give elevation_sd_deg.")
+        kind = term_of(term)
+        largest = _largest(radar.errors[term], 3600.0)
+        if largest * kind.si_per_unit > _MOST_USUAL * kind.prior_sd:
+            yield Mistake(at, f"{term} comes to {largest:g} {kind.unit}, which no radar can be off by", "Lessen it.")
 
 
 # An error beyond so many of its usual sizes, and a scene of fewer turns of the antenna, are more likely slips than wishes.
 _USUAL, _TURNS = 5.0, 10.0
+# Beyond so many the arithmetic ends, not the sense alone.
+_MOST_USUAL = 1e6
 _EARTH_M = 6_371_000.0
 
 
