@@ -181,6 +181,10 @@ def _codes(key: int) -> str:
     return f"{key >> 8}/{key & 255}" if 0 <= key < 65536 else str(key)
 
 
+def _whose(key: int) -> str:
+    return f"SAC/SIC {_codes(key)}" if 0 <= key < 65536 else f"a source without SAC/SIC (id {key})"
+
+
 def _entry(key: int) -> str:
     return f"sac = {key >> 8}, sic = {key & 255}" if 0 <= key < 65536 else f"id = {key}"
 
@@ -265,8 +269,7 @@ def _heights(
         if np.isfinite(ground):
             height[mine], sd[mine] = ground, ground_sd
             said.append(
-                f"{mine.sum():,} records of SAC/SIC {_codes(key)} without an altitude are taken at {ground:.0f} m on the "
-                f"ellipsoid: {why}"
+                f"{mine.sum():,} records of {_whose(key)} without an altitude are taken at {ground:.1f} m on the ellipsoid: {why}"
             )
     if not np.isfinite(height).all():
         nowhere = ~np.isfinite(height) & (np.isfinite(fixes.latitude_rad) | np.isfinite(fixes.x_m))

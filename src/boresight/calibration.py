@@ -224,7 +224,8 @@ class Calibration:
         for v in s.verdicts:
             lines.append(f"  {v.decision}: {v.term if v.channel == 'all' else f'{v.term} ({v.channel})'}: {v.why}")
         if s.criterion:
-            lines.append(f"  model by {s.criterion}: {_path(s.choices)}")
+            few = f"the terms that always stay: {_count(s.targets, 'target')} cannot show what others are worth"
+            lines.append(f"  model by {s.criterion}: {_path(s.choices) if s.choices else few}")
         lines += [f"  not determined: {n.term}: {n.why}" for n in self.not_determined if n.sensor == s.sensor]
         lines += [f"  note: {note}" for note in s.notes]
         return "\n".join(lines)

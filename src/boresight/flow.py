@@ -22,11 +22,11 @@ from .errors import InputError, NothingToDo, SettingsError
 from .model import Fixes, Pairs, Platform, Plots, Recording, Sensor, Sensors, Source, load_sensors
 
 if TYPE_CHECKING:
-    from ._types import AnyArray, IntArray
+    from ._types import AnyArray, FloatArray, IntArray
     from .assessment.requirement import Conformity, Requirement
     from .assessment.residuals import Residuals
     from .association import Association, AssociationSettings
-    from .calibration import Calibration, Criterion, Input
+    from .calibration import Calibration, Criterion, Input, Summary
     from .frozen import Frozen, Settings
     from .heights import HeightProfile
     from .registration.mean_shift import Online, Samples
@@ -187,6 +187,9 @@ def calibrate(
         version=__version__,
     )
     left = residuals(step.pairs, step.sensors, found)
+    if not reference:
+        # Distances to the main radar's tracks are those that the figures show, not those to its single plots.
+        found = replace(found, sensors=tuple(_with_distances(s, left) for s in found.sensors))
     conformity = () if requirement is None else assess_requirement(found, left, step.sensors, requirement)
     if requirement is not None and not conformity:
         said = (f"{requirement.title} has no figure for the kinds of these sensors",)
@@ -373,6 +376,20 @@ def _against_main(measured: Plots, settings: Settings, way: _Way, warnings: list
     if shared.by == "identity":
         names = {k: f"{k:06X}" if k <= 0xFFFFFF else str(k) for k in set(pairs.target.tolist())}
     return _Step(found, pairs, sensors, names, samples=samples)
+
+
+def _with_distances(summary: Summary, left: Residuals) -> Summary:
+    """A sensor's summary with the distances that its residuals show."""
+    import numpy as np
+    from msgspec import structs
+
+    from .calibration import Accuracy
+
+    def accuracy(distance_m: FloatArray) -> Accuracy:
+        known = distance_m[(left.sensor == summary.sensor) & np.isfinite(distance_m)]
+        return Accuracy(*np.percentile(known, [50, 95]).tolist()) if len(known) else Accuracy(math.nan, math.nan)
+
+    return structs.replace(summary, before=accuracy(left.distance_before_m), after=accuracy(left.distance_after_m))
 
 
 def _main_of(measured: Plots, settings: Settings, warnings: list[str]) -> Sensor:
@@ -564,6 +581,10 @@ def correct_files(
     warnings: list[str] = []
     if main := found.settings.get("main"):
         warnings.append(f"the calibration is relative to {main}: corrected plots agree with it, right or wrong")
+    if len(found.epoch_s) > 1:
+        warnings.append(
+            "the errors are over time: each plot gets the values of its own time, and those that are told are the last"
+        )
     plots = _once(plots, warnings)
     files = [file for path in plots for file in _files_of(path)]
     for file in files:

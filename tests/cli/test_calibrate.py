@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from boresight import flow
+from boresight.assessment.residuals import load_residuals
 from boresight.association import ASSOCIATIONS
 from boresight.calibration import load_calibration
 from boresight.cli import main
@@ -181,6 +182,12 @@ def test_radars_without_a_reference_are_set_against_a_main_one(scene: Path, rela
     assert "All values are relative to R" in page
     assert "absolute ones need a trusted reference" in page
     assert "compared with R, S measures ranges" in page
+    assert "error (S − R)" in page
+    assert "measured − true)" not in page
+    # The distances are those to the main radar's tracks, as the figures and the residuals have them.
+    left = load_residuals(relative / "residuals.parquet")
+    for told, seen in ((s.before, left.distance_before_m), (s.after, left.distance_after_m)):
+        assert (told.median_m, told.p95_m) == pytest.approx(np.nanpercentile(seen, [50, 95]), rel=1e-6)
     assert (relative / "biases.csv").read_text().startswith("time,sensor,term,value,sd,unit\n")
     assert flow.verify(relative).exact
     shutil.copytree(relative, tmp_path / "changed")
@@ -189,6 +196,7 @@ def test_radars_without_a_reference_are_set_against_a_main_one(scene: Path, rela
     # So corrected, S agrees with R: nothing is left between them.
     code, _, err = run("correct", scene / "S.ast", "--calibration", relative, "--out", tmp_path / "S.ast", "--date", "2026-03-01")
     assert (code, "relative to R: corrected plots agree with it" in err) == (0, True)
+    assert "each plot gets the values of its own time" in err
     again = json.loads(
         worked(
             "calibrate",

@@ -22,7 +22,7 @@ from boresight.measure import wrap_rad
 from boresight.model import load_sensors
 from boresight.reading import read
 from boresight.simulation import Radar, Scenario, Traffic, load_scenario, simulate
-from boresight.simulation.files import scene_files, write_scene
+from boresight.simulation.files import lost_in, scene_files, write_scene
 from boresight.simulation.scenario import lint_scenario
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.toml"))
@@ -95,6 +95,7 @@ def test_check_tells_all_mistakes_and_writes_nothing(small: Path, capsys: pytest
         (("--out", "x", "--seed", "-1"), "--seed"),
         (("--out", "x", "--duration", "3"), "--duration 3"),
         (("--out", "x", "--format", "pdf"), "format"),
+        (("--out", "x", "--format", "nmea"), "--format: NMEA logs are those of marine radars, and the scene has none"),
     ],
 )
 def test_options_that_make_no_sense(
@@ -250,6 +251,9 @@ def test_an_elevation_goes_into_a_table_and_one_log_is_enough(tmp_path: Path) ->
     assert [p.name for p in files.plots] == ["up.parquet"]
     assert np.isfinite(read(files.plots[0]).plots.elevation_rad).all()
     assert files.command("x") == ()
+    assert not lost_in(scene, "auto")
+    (lost,) = lost_in(scene, "asterix")
+    assert lost.startswith("up: its elevations are not in up.ast")
     logs = load_scenario(next(p for p in EXAMPLES if p.stem == "harbour"))
     with pytest.raises(SettingsError, match="only one radar can have one, not ship, quay"):
         write_scene(simulate(Scenario(**{k: getattr(logs, k) for k in logs.__struct_fields__} | {"duration_s": 30.0}), 1),

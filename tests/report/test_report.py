@@ -20,7 +20,7 @@ from boresight.calibration import Calibration
 from boresight.errors import InputError
 from boresight.model import Sensors
 from boresight.report import write_report
-from boresight.report.drawing import binned, group_quantiles, length_text, robust_sd
+from boresight.report.drawing import binned, group_quantiles, length_text, robust_sd, term_label
 from boresight.report.figures import quantities
 from boresight.report.page import decimals, number, render, rows_of, verdict
 from boresight.terms import TERMS
@@ -231,6 +231,12 @@ def test_sd_is_shown_with_two_significant_digits(sd: float) -> None:
     digits = text.replace(".", "").lstrip("0")
     assert len(digits) == 2 or sd >= 10
     assert float(text) == pytest.approx(sd, rel=0.051)
+
+
+def test_terms_are_told_in_words() -> None:
+    assert term_label("range_bias@mode_s_psr") == "range bias (mode s psr)"
+    assert term_label("reference_time_offset@source 5227") == "reference time offset (20/107)"
+    assert term_label("reference_time_offset@source 65536") == "reference time offset (id 65536)"
 
 
 def test_numbers_have_a_true_minus_and_no_negative_zero() -> None:

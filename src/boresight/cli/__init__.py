@@ -30,7 +30,7 @@ app = cyclopts.App(
     name="boresight",
     help="Find, remove and prove the systematic errors of radars.",
     version=__version__,
-    help_format="plaintext",
+    help_format="markdown",  # plain text would keep the line breaks of the docstrings
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )

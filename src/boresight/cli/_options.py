@@ -20,7 +20,8 @@ Files = Annotated[list[Path], Parameter(consume_multiple=True, negative="")]
 Editions = Annotated[list[str], Parameter(name="--edition", consume_multiple=True, negative="")]
 Named = Annotated[list[str], Parameter(consume_multiple=True, negative="")]
 Date = Annotated[str | None, Parameter(name="--date")]
-Json = Annotated[bool, Parameter(name="--json", negative="")]
+Switch = Annotated[bool, Parameter(negative="", show_default=False)]
+Json = Annotated[bool, Parameter(name="--json", negative="", show_default=False)]
 
 
 def editions_of(texts: Sequence[str] | None) -> dict[int, str]:

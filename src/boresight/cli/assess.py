@@ -16,7 +16,7 @@ Component = Literal["range", "azimuth", "elevation", "east", "north", "along", "
 assess = App(
     name="assess",
     help="Judge a result: against a requirement, by how its errors are distributed, or by two targets.",
-    help_format="plaintext",
+    help_format="markdown",
 )
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from ._options import Date, Editions, Files, Json, Named, date_of, editions_of, named_values, print_json, steps
+from ._options import Date, Editions, Files, Json, Named, Switch, date_of, editions_of, named_values, print_json, steps
 
 
 def calibrate(
@@ -22,8 +22,8 @@ def calibrate(
     option: Annotated[Named | None, Parameter(name="--option")] = None,
     model: Annotated[str, Parameter(name="--model")] = "auto",
     select: Annotated[Literal["cross-validation", "bic", "none"], Parameter(name="--select")] = "cross-validation",
-    online: Annotated[bool, Parameter(negative="")] = False,
-    main: Annotated[str, Parameter(name="--main")] = "",
+    online: Switch = False,
+    main: Annotated[str, Parameter(name="--main", show_default=False)] = "",
     associate: Annotated[str, Parameter(name="--associate")] = "hough",
     associate_option: Annotated[Named | None, Parameter(name="--associate-option")] = None,
     date: Date = None,
@@ -41,8 +41,8 @@ def calibrate(
     plots
         Recordings of the radars to calibrate.
     reference
-        Recordings of targets whose positions are trusted: ADS-B, multilateration. Without, radars are compared with the --main
-        one, and all errors are relative to it.
+        Recordings of targets whose positions are trusted: ADS-B, multilateration, AIS, RTK receivers. Without, radars are
+        compared with the --main one, and all errors are relative to it.
     sensors
         sensors.toml: where each radar stands, and what is known of it.
     out
@@ -51,11 +51,11 @@ def calibrate(
         least-squares (the default against a reference), per-channel, maximum-likelihood, kalman-transform, ransac-icp, genetic;
         over time, and without a reference: kalman-bank (the default there), igmsr, mean-shift, alpha-beta, exponential-average.
     option
-        Option of the method, as tau_s=20; several may be given.
+        Option of the method, as tau_s=20; several may be given. A name that does not exist is answered by those that do.
     model
         Of least-squares: auto (the error terms that the data show), constant, atc, surface, marine, tracker, full, or a
-        comma-separated list of error terms. Of per-channel: constant, first-order, second-order, or three with commas for range,
-        azimuth, elevation.
+        comma-separated list of error terms. Of per-channel: constant, first-order, second-order (its auto), or three with commas
+        for range, azimuth, elevation.
     select
         How auto chooses: cross-validation (by targets held out), bic (faster), or none (the usual terms of the kind of sensor).
     online
@@ -65,7 +65,8 @@ def calibrate(
     associate
         How plots find their targets: hough (identities, and a search over the biases), or k-medoids (small errors only).
     associate_option
-        Option of the association, as azimuth_window_deg=10; several may be given.
+        Option of the association, as azimuth_window_deg=10; several may be given. A name that does not exist is answered by
+        those that do.
     date
         UTC date of the first record, as 2016-05-10.
     edition

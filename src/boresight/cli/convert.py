@@ -9,7 +9,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from ..errors import SettingsError
-from ._options import Date, Editions, Json, date_of, editions_of, print_json, steps
+from ._options import Date, Editions, Json, Switch, date_of, editions_of, print_json, steps
 
 
 def convert(
@@ -20,11 +20,11 @@ def convert(
     kind: str | None = None,
     sensors: Annotated[Path | None, Parameter(name="--sensors")] = None,
     columns: Path | None = None,
-    lines: Annotated[bool, Parameter(negative="")] = False,
+    lines: Switch = False,
     source: str | None = None,
     date: Date = None,
     edition: Editions | None = None,
-    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    overwrite: Switch = False,
     json: Json = False,
 ) -> None:
     """Write a recording in another format: Parquet, CSV, GeoJSON, KML, ASTERIX or NMEA.

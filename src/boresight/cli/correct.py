@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from ..errors import SettingsError
-from ._options import Date, Editions, Files, Json, date_of, editions_of, print_json, steps
+from ._options import Date, Editions, Files, Json, Switch, date_of, editions_of, print_json, steps
 
 if TYPE_CHECKING:
     from ..flow import Corrected
@@ -26,7 +26,7 @@ def correct(
     sensors: Annotated[Path | None, Parameter(name="--sensors")] = None,
     date: Date = None,
     edition: Editions | None = None,
-    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    overwrite: Switch = False,
     json: Json = False,
 ) -> None:
     """Take the errors of a calibration out of PLOTS: the same ASTERIX recording again, or a table (Parquet, CSV).

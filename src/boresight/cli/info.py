@@ -6,12 +6,10 @@ import datetime
 import math
 import sys
 from pathlib import Path
-from typing import Annotated, Any
-
-from cyclopts import Parameter
+from typing import Any
 
 from ..errors import SettingsError
-from ._options import Date, Editions, Files, Json, date_of, editions_of, print_json, steps
+from ._options import Date, Editions, Files, Json, Switch, date_of, editions_of, print_json, steps
 
 
 def info(
@@ -20,7 +18,7 @@ def info(
     *,
     date: Date = None,
     edition: Editions | None = None,
-    clock: Annotated[bool, Parameter(negative="")] = False,
+    clock: Switch = False,
     out: Path | None = None,
     json: Json = False,
 ) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from ..errors import SettingsError
-from ._options import Json, print_json
+from ._options import Json, Switch, print_json
 
 
 def plan(
@@ -17,7 +17,7 @@ def plan(
     *,
     sd: Annotated[list[str], Parameter(name="--sd", consume_multiple=True, negative="")],
     sensor: str | None = None,
-    alone: Annotated[bool, Parameter(negative="")] = False,
+    alone: Switch = False,
     json: Json = False,
 ) -> None:
     """Tell what to record next, so that errors of CALIBRATION are known as well as wanted.

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from ..errors import SettingsError
-from ._options import Json, print_json, steps
+from ._options import Json, Switch, print_json, steps
 
 
 def simulate(
@@ -21,7 +21,7 @@ def simulate(
     seed: int = 1,
     form: Annotated[Literal["auto", "asterix", "nmea", "table"], Parameter(name="--format")] = "auto",
     duration: float | None = None,
-    check: Annotated[bool, Parameter(negative="")] = False,
+    check: Switch = False,
     json: Json = False,
 ) -> None:
     """Simulate SCENARIO and write recordings, sensors.toml and the truth to a folder, ready for calibrate.
@@ -31,7 +31,7 @@ def simulate(
     scenario
         The scene (TOML): who flies and sails where, what the radars and references are like, and the radars' errors.
     out
-        Folder for the files; what is there is kept in earlier-1, earlier-2 and so on.
+        Folder for the files, needed but for --check; what is there is kept in earlier-1, earlier-2 and so on.
     seed
         Seed of all that is drawn: the same seed gives the same files.
     form
@@ -55,7 +55,7 @@ def simulate(
         raise SettingsError("there is no folder to write to", where="--out", remedy="Give --out DIR, or --check.")
     if seed < 0:
         raise SettingsError(f"{seed} is no seed", where="--seed", remedy="Give 0 or more.")
-    from ..simulation.files import check_form, write_scene
+    from ..simulation.files import check_form, lost_in, write_scene
     from ..simulation.scenario import simulate as run_scenario
 
     lint = lint_scenario(scenario)
@@ -65,7 +65,8 @@ def simulate(
         for mistake in mistakes_of(scene):
             raise SettingsError(mistake.text, where=f"--duration {duration:g}", remedy=mistake.remedy)
     check_form(scene, form)
-    for warning in lint.warnings:
+    warnings = [*map(str, lint.warnings), *lost_in(scene, form)]
+    for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     with steps(quiet=json) as step:
         step(f"simulating {scene.name}")
@@ -85,7 +86,7 @@ def simulate(
             "truth": [str(path) for path in (files.truth_file, *files.tables)],
             "errors": to_builtins(files.truth),
             "empty": files.empty,
-            "warnings": [str(warning) for warning in lint.warnings],
+            "warnings": warnings,
             "calibrate": command,
         }
         print_json(view)

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-from cyclopts import Parameter
-
-from ._options import Json, print_json, steps
+from ._options import Json, Switch, print_json, steps
 
 
 def study(
     name: str,
     /,
     *,
-    quick: Annotated[bool, Parameter(negative="")] = False,
+    quick: Switch = False,
     out: Path | None = None,
     seed: int = 1,
     executor: Literal["serial", "processes", "dask"] = "serial",

@@ -347,7 +347,7 @@ def _late_reference(every: Sequence[tuple[int, Term]], value: FloatArray, covari
     if alike < _ALIKE or abs(mean) < max(_LATE_SD * sd, _LATE_S):
         return []
     if len(k) > 1:
-        which = f"all {len(k)} radars show the same time offset"
+        which = f"{'both' if len(k) == 2 else f'all {len(k)}'} radars show the same time offset"
     elif mean < 0:
         which = "the time offset is that of stamps before the measurement"
     else:

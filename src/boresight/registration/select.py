@@ -384,7 +384,7 @@ def _not_enough(bench: _Bench, width: int, gain: float, sd: float) -> str:
         return "it is not worth its price by BIC"
     if gain <= 0:
         return "held-out targets fit no better with it"
-    return f"held-out targets fit better with it by {gain / sd:.1f} standard errors"
+    return f"held-out targets fit better with it by only {gain / sd:.1f} standard errors"
 
 
 def _enough(bench: _Bench, width: int, gain: float, sd: float) -> str:

@@ -16,7 +16,7 @@ from .drawing import AFTER, AFTER_LIGHT, BEFORE, BEFORE_LIGHT, INK, Drawing, axe
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{{ title }}</title><style>{{ css }}
-pre { overflow-x: auto; font-size: .85rem; line-height: 1.35; }</style></head>
+pre { white-space: pre-wrap; font-size: .85rem; line-height: 1.35; }</style></head>
 <body><h1>{{ title }}</h1><p class="meta"><span>Boresight {{ version }}</span></p>
 {% if table %}
 <div class="wide"><table><thead><tr>{% for cell in table[0] %}<th>{{ cell }}</th>{% endfor %}</tr></thead><tbody>
@@ -62,7 +62,9 @@ def trace_figure(traces: tuple[Trace, Trace], *, text: str = "") -> Drawing:
                     linewidth=1.0 if s.curved else 2.2,
                 )  # fmt: skip
         axes.plot(0, 0, marker="^", color=INK, markersize=6)
-        axes.annotate("radar", (0, 0), (7, -3), textcoords="offset points", fontsize=7.5)
+        label = axes.annotate("radar", (0, 0), (7, -3), textcoords="offset points", fontsize=7.5)
+        # A trace may lead past it.
+        label.set_bbox({"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.8})
         axes.set_aspect("equal", adjustable="datalim")
         name = "km" if unit > 1 else "m"
         axes.set_xlabel(f"east ({name})")
@@ -115,7 +117,7 @@ def errors_figure(
         low.plot(x, np.insert(calm, at, np.nan), color=INK, linewidth=1.5)
         top.set_ylabel(f"{channel} error ({unit})")
         low.set_ylabel(f"difference ({unit})")
-        low.set_xlabel("scan of the joined segments")
+        low.set_xlabel("scan, counted over the joined segments")
         for axes in (top, low):
             axes.axhline(0, color=INK, linewidth=0.5)
             for place in at:

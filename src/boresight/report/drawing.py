@@ -362,8 +362,13 @@ def length_text(metres: float) -> str:
 
 
 def term_label(name: str) -> str:
-    """The name of a term as people read it: ``range_bias@psr`` is "range bias (psr)"."""
+    """The name of a term as people read it: ``range_bias@psr`` is "range bias (psr)"; a source has its SAC/SIC."""
+    name = re.sub(r"@source (\d+)", lambda m: f" ({_source(int(m[1]))})", name)
     return re.sub(r"@(\w+)", r" (\1)", name).replace("_", " ")
+
+
+def _source(key: int) -> str:
+    return f"{key >> 8}/{key & 255}" if key < 65536 else f"id {key}"
 
 
 def degree_text(value_rad: float, step_min: float, hemispheres: str) -> str:

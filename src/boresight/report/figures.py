@@ -372,10 +372,11 @@ def zoom_figure(r: Residuals, name: str, *, targets: Mapping[int, str] | None = 
             ],
         )
         svg = to_svg(figure, name)
+    several = "each from the near, the middle and the far plots" if len(chosen) == 3 else "of either target"
+    whose = several if len(chosen) > 1 else "of one target"
     caption = (
-        "The same at true scale: one stretch of track each from the near, the middle and the far plots, each with a "
-        "dozen plots or so. A thin line joins every plot to its reference. After correction the plots should lie about the "
-        "reference on all sides."
+        f"The same at true scale: a stretch of track {whose}. A thin line joins every plot to its reference. After correction "
+        "the plots should lie about the reference on all sides."
     )
     return Drawing(name, svg, caption, "Close-ups of tracks with raw and corrected plots")
 

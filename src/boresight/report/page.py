@@ -735,6 +735,7 @@ def _section(
         "anchor": slug,
         "name": summary.name,
         "kind": f"{_KINDS.get(sensor.kind, sensor.kind)}, " if sensor is not None else "",
+        "sign": f"{summary.name} − {main}" if (main := calibration.settings.get("main")) else "measured − true",
         "source": _source(summary.sensor),
         "verdict": first,
         "not_significant": second,

@@ -107,6 +107,12 @@ def _receiver_files(scenario: Scenario) -> list[str]:
 
 def check_form(scenario: Scenario, form: Form) -> None:
     """Raise SettingsError where a scene cannot be written in this form."""
+    if form == "nmea" and not any(radar.kind == "marine" for radar in scenario.radar):
+        raise SettingsError(
+            "NMEA logs are those of marine radars, and the scene has none",
+            where="--format",
+            remedy='Take auto, asterix or table, or give a radar kind = "marine".',
+        )
     logs = [radar.name for radar in scenario.radar if plots_file(radar, form).endswith(".nmea")]
     if len(logs) > 1:
         raise SettingsError(
@@ -114,6 +120,15 @@ def check_form(scenario: Scenario, form: Form) -> None:
             where="--format",
             remedy="Take asterix or table.",
         )
+
+
+def lost_in(scenario: Scenario, form: Form) -> list[str]:
+    """What a scene loses in this form: elevations, which ASTERIX and NMEA have no item for."""
+    return [
+        f"{radar.name}: its elevations are not in {name}, which has no item for them (--format auto or table writes them)"
+        for radar in scenario.radar
+        if radar.elevation_sd_deg is not None and not (name := plots_file(radar, form)).endswith(".parquet")
+    ]
 
 
 def write_scene(
