@@ -221,7 +221,7 @@ def _one_sensor(
         bias, decided, by = _by_clusters(scene, tracks, settings.matching)
     else:
         names = identity.names_of(plots, tracks.order, tracks.start)
-        bias, said = coarse(scene, tracks, names)
+        bias, said, scene = coarse(scene, tracks, names)
         decided, by = _decide(scene, tracks, names, bias)
     for _ in range(6):
         before, bias = bias, _refined(scene, tracks, decided, bias)

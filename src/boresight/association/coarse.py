@@ -11,7 +11,7 @@ import numpy as np
 from .. import alignment
 from .._types import BoolArray, FloatArray, IntArray
 from ..errors import NothingToDo
-from . import hough, identity, tracklets
+from . import drift, hough, identity, tracklets
 from .hough import Bias, Candidates, Peak, Window
 from .scene import Scene, Units, meeting, units_of
 
@@ -53,9 +53,10 @@ class CoarseBias(msgspec.Struct, frozen=True, kw_only=True):
         return Bias(self.range_m, self.azimuth_rad, self.time_s, self.range_gain, self.azimuth_cos_rad, self.azimuth_sin_rad)
 
 
-def coarse(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names) -> tuple[CoarseBias, list[str]]:
-    """The coarse biases of a radar, by identity if both sides carry one, else by votes.
+def coarse(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names) -> tuple[CoarseBias, list[str], Scene]:
+    """The coarse biases of a radar, by identity if both sides carry one, else by votes; what is to be said; and the scene.
 
+    The scene is the one given, but where the biases change over time: then what changes was taken off its plots (`drift`).
     Raises NothingToDo where nothing agrees, with what was searched and what to do.
     """
     said: list[str] = []
@@ -67,12 +68,19 @@ def coarse(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names) -> 
         links = identity.links(names, scene.reference.names, meets & ~identity.conflict(names, scene.reference.names))
         strong = links.kind < identity.MODE_3A
         if np.any(strong):
-            peak, compared = _by_identity(scene, tracks, links.track[strong], links.target[strong])
-            if compared and peak.tracks >= max(1, 0.4 * compared) and not _at_edge(peak, scene):
+            same = links.track[strong], links.target[strong]
+            peak, compared = _by_identity(scene, tracks, *same)
+            noisy = scene
+            if compared and not _agreed(scene, peak, compared):
+                noisy = drift.as_noisy_as_shown(scene, tracks, *same)
+                peak, compared = _by_identity(noisy, tracks, *same)
+            noisy, peak, compared, changes = _followed(noisy, tracks, same, peak, compared)
+            if _agreed(noisy, peak, compared):
+                scene, said = noisy, changes
                 named = _bias(scene, peak, "identity", compared, np.nan)
                 # One or two tracks may carry a wrong address: where others could contradict them, they are heard.
                 if compared >= 3 or len(np.unique(units.unit)) < 2 * compared:
-                    return named, said
+                    return named, said, scene
             elif compared:
                 why = (
                     f"{f'only {peak.tracks}' if peak.tracks else 'none'} of them agree on the biases, within "
@@ -95,16 +103,40 @@ def coarse(scene: Scene, tracks: tracklets.Tracklets, names: identity.Names) -> 
         if width > 1.0:
             peak = hough.bent(ballots[0], scene.window, peak.bias, width)
         if peak.tracks >= needed and not _at_edge(peak, scene):
-            return _bias(scene, peak, "geometry", looked_at, outcome[-1][1]), said
+            return _bias(scene, peak, "geometry", looked_at, outcome[-1][1]), said, scene
     peak, chance = outcome[0]
     if named is not None:
-        return named, said
+        return named, said, scene
     raise _refusal(scene, tracks, names, units, peak, chance, looked_at, needed, said)
 
 
 def _bias(scene: Scene, peak: Peak, by: str, tracks: int, chance: float) -> CoarseBias:
     who = scene.sensor
     return CoarseBias(sensor=who.key, name=who.name, by=by, score=peak.score, tracks=tracks, chance=chance, **peak.bias._asdict())
+
+
+def _followed(
+    scene: Scene, tracks: tracklets.Tracklets, same: tuple[IntArray, IntArray], peak: Peak, compared: int
+) -> tuple[Scene, Peak, int, list[str]]:
+    """The scene without what its biases do over time, if more tracks agree there, with their peak; else what is given."""
+    calm, best, whole = scene, peak, compared
+    said: list[str] = []
+    # Once more with what gain, eccentricity and a late stamp are then known to do.
+    for _ in range(2):
+        course = drift.course_of(scene, tracks, *same, best.bias if _agreed(calm, best, whole) else None)
+        if course is None:
+            break
+        tried = course.taken_off(scene)
+        found, count = _by_identity(tried, tracks, *same)
+        if not _agreed(tried, found, count) or found.tracks < max(2, best.tracks):
+            break
+        calm, best, whole, said = tried, found, count, course.words(scene)
+    return calm, best, whole, said
+
+
+def _agreed(scene: Scene, peak: Peak, compared: int) -> bool:
+    """Whether enough of the tracks that identity pairs explain the same biases, inside of the window of time."""
+    return bool(compared) and peak.tracks >= max(1, 0.4 * compared) and not _at_edge(peak, scene)
 
 
 def _at_edge(peak: Peak, scene: Scene) -> bool:

@@ -115,7 +115,10 @@ class Compared(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """One sensor's plots against the reference; `azimuth_rad` is from true north."""
+    """One sensor's plots against the reference; `azimuth_rad` is from true north.
+
+    `more_range_sd_m` and `more_azimuth_sd_rad` (n,) are what single plots may be off beyond what is assumed of all.
+    """
 
     plots: Plots
     azimuth_rad: FloatArray
@@ -126,6 +129,8 @@ class Scene:
     site: FloatArray
     enu_from_ecef: FloatArray
     reference: Reference
+    more_range_sd_m: FloatArray | None = None
+    more_azimuth_sd_rad: FloatArray | None = None
 
     @property
     def on_ground(self) -> bool:
@@ -169,15 +174,17 @@ class Scene:
         range_rate = np.einsum("ij,ij->i", enu, velocity) / distance
         azimuth_rate = (enu[:, 1] * velocity[:, 0] - enu[:, 0] * velocity[:, 1]) / ground**2
         variance = np.nan_to_num(np.einsum("ijj->i", s.covariance) / 3.0, nan=50.0**2, posinf=50.0**2) + a.extent_m**2
+        more_r = 0.0 if self.more_range_sd_m is None else self.more_range_sd_m[row]
+        more_a = 0.0 if self.more_azimuth_sd_rad is None else self.more_azimuth_sd_rad[row]
         # Over the antenna the azimuth says nothing; beyond a radian its sd has no meaning.
-        azimuth_sd = np.minimum(np.sqrt(a.azimuth_sd_rad**2 + a.unmodelled_rad**2 + variance / ground**2), 1.0)
+        azimuth_sd = np.minimum(np.sqrt(a.azimuth_sd_rad**2 + a.unmodelled_rad**2 + variance / ground**2 + more_a**2), 1.0)
         azimuth = np.arctan2(enu[:, 0], enu[:, 1])
         return Compared(
             self.plots.range_m[row] - distance,
             measure.wrap_rad(self.azimuth_rad[row] + turn_rad - azimuth),
             range_rate,
             azimuth_rate,
-            np.sqrt(a.range_sd_m**2 + (a.unmodelled_per_m * distance) ** 2 + variance),
+            np.sqrt(a.range_sd_m**2 + (a.unmodelled_per_m * distance) ** 2 + variance + more_r**2),
             azimuth_sd,
             distance,
             azimuth,
