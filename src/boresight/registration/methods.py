@@ -21,11 +21,11 @@ from ..measure import enu_from_polar, position_from_height
 from ..model import Pairs, Sensor, Sensors
 from ..terms import TERMS, Term, term_of
 from . import register
-from .least_squares import LeastSquares, folds, typical_noise, typical_own
+from .least_squares import LeastSquares, folds, typical_noise
 from .likelihood import SCALE_M, KalmanTransform, MaximumLikelihood, Transforms
 from .mean_shift import ExponentialAverage, Igmsr, MeanShift
 from .observe import CHUNK, Observed, Values, distances, look, observe, take, unusable
-from .per_channel import PerChannel, blocks_of, inflation, register_per_channel
+from .per_channel import FEW_TARGETS, PerChannel, blocks_of, inflation, own_sd, register_per_channel
 from .rigid import Clouds, Genetic, RansacIcp, Rigid
 from .sequential import BIASES, AlphaBetaBias, KalmanBank, online_samples, register_online
 from .sequential import METHODS as ONLINE
@@ -67,8 +67,6 @@ _AFFINE = (
 _MOST = 0.5
 # A term is told by the data where they leave less than this part of what was assumed of it beforehand.
 _TOLD = 0.5
-# With fewer targets, what a target keeps for itself is also assumed, not only seen.
-_FEW_TARGETS = 12
 _EPOCHS = 400
 _FLOOR_POLAR = np.array([1e-3, 1e-8, 1e-8])
 _FLOOR_M = 1e-3
@@ -351,8 +349,8 @@ def _widened(found: Calibration, others: Sequence[Calibration], seen: Observed) 
 
     covariance = found.covariance.copy()
     targets = len(seen.cluster_key)
-    if targets < _FEW_TARGETS:
-        typical, far = _own(seen), float(np.median(seen.measured[:, 0]))
+    if targets < FEW_TARGETS:
+        typical, far = own_sd(seen), float(np.median(seen.measured[:, 0]))
         own = {**dict(zip(BIASES, typical, strict=True)), "rotation_up": typical[1]}
         own |= dict.fromkeys(("site_east", "site_north", "site_up"), np.hypot(typical[0], typical[1] * far))
         for k, key in enumerate(found.terms):
@@ -491,7 +489,7 @@ def _honest(influence: FloatArray, residual: FloatArray, own: FloatArray, seen: 
     count = int(present.sum())
     least = np.einsum("npc,nqc->pq", influence * floor, influence * floor) + np.outer(missed, missed)
     meat = by_target.T @ by_target * (count / max(count - 1, 1))
-    if count >= _FEW_TARGETS:
+    if count >= FEW_TARGETS:
         return np.asarray(meat + least)
     pieces = blocks_of(seen.cluster, seen.time_s)
     by_piece = _sums(push, pieces, int(pieces.max()) + 1)
@@ -511,18 +509,6 @@ def _sums(rows: FloatArray, group: IntArray, groups: int) -> FloatArray:
     return out
 
 
-def _own(seen: Observed) -> FloatArray:
-    """The typical sd (3,) of what a target keeps for itself, in range, azimuth and elevation."""
-    typical, far = typical_own(seen), max(float(np.median(seen.measured[:, 0])), 1.0)
-    return np.array(
-        [
-            np.hypot(typical["range_bias"], typical["site_east"]),
-            np.hypot(typical["azimuth_bias"], typical["site_east"] / far),
-            np.hypot(typical.get("elevation_bias", 0.0), typical.get("site_up", 0.0) / far),
-        ]
-    )
-
-
 # ---------------------------------------------------------------------------------------------------- maximum likelihood
 def _likeliest(method: MaximumLikelihood, whole: Observed) -> Calibration:
     seen = take(whole, _thin(np.arange(len(whole)), _PLOTS))
@@ -537,7 +523,7 @@ def _likeliest(method: MaximumLikelihood, whole: Observed) -> Calibration:
     rows = np.flatnonzero(found.inliers)
     weight = np.linalg.inv(found.noise[np.ix_(axes, axes)] + known[rows][:, axes[:, None], axes])
     influence = np.linalg.solve(weight.sum(axis=0), weight)
-    own = _own(seen)
+    own = own_sd(seen)
     mine = take(seen, rows)
     covariance = _honest(
         influence, difference[rows][:, axes] - found.value[axes], np.diag(own[axes] ** 2), mine, _FLOOR_POLAR[axes]
@@ -623,7 +609,7 @@ def _level_axes(names: Sequence[str]) -> int:
 
 def _own_m2(seen: Observed, axes: int) -> FloatArray:
     """The typical covariance (m^2) of what a target keeps for itself, in the coordinates."""
-    own = _own(seen)
+    own = own_sd(seen)
     return np.asarray((own[0] ** 2 + (own[1] * float(np.median(seen.measured[:, 0]))) ** 2) * np.eye(axes))
 
 
