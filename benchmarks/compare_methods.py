@@ -175,11 +175,16 @@ def table(scene: Scene, outcomes: list[Outcome]) -> list[str]:
             if o.why:
                 lines.append(f"| {o.method} | {o.seconds:.1f} | - | - |{' - |' if simulated else ''} {o.why} |")
                 continue
-            terms = ", ".join(f"{name} {value:.3g} ± {sd:.2g} {unit}" for name, (value, sd, unit) in o.terms.items())
+            terms = ", ".join(f"{name} {value:.3g} ± {_two_digits(sd)} {unit}" for name, (value, sd, unit) in o.terms.items())
             left = f" {o.left[0]:.1f} / {o.left[1]:.1f} m |" if simulated else ""
             lines.append(f"| {o.method} | {o.seconds:.1f} | {o.held_out[1]:.1f} m | {o.held_out[3]:.1f} m |{left} {terms} |")
         lines.append("")
     return lines
+
+
+def _two_digits(sd: float) -> str:
+    """A standard deviation with two digits, never as a power of ten where it is large."""
+    return f"{sd:.2g}" if sd < 99.5 else f"{float(f'{sd:.2g}'):.0f}"
 
 
 def held_out_figure(results: list[tuple[Scene, list[Outcome]]]) -> str:

@@ -702,14 +702,17 @@ def _settle(
             _trust(reduced, solution, settings),
         )
         settled = np.all(np.abs(variances.noise / noise_before - 1) <= 0.02)
-        rests = bool(settled and np.all(np.abs(solution.value) <= 0.02 * np.sqrt(np.diag(solution.covariance))))
+        moved = float(np.max(np.abs(solution.value) / np.sqrt(np.diag(solution.covariance)), initial=0.0))
+        rests = bool(settled and moved <= 0.02)
         if number >= 2 and rests:
             break
-    return replace(state, ended=_ended(rests, number + 1))
+    return replace(state, ended=_ended(rests, number + 1, moved))
 
 
-def _ended(rests: bool, steps: int) -> str:
-    return f"{'converged' if rests else 'not converged'} after {steps} step{'' if steps == 1 else 's'}"
+def _ended(rests: bool, steps: int, moved: float = 0.0) -> str:
+    """How the steps ended; `moved` is by how much of its sd the last one moved a value at most."""
+    last = "" if rests or moved == 0 else f": the last one moved values by up to {moved:.2g} of their sd"
+    return f"{'converged' if rests else 'not converged'} after {steps} step{'' if steps == 1 else 's'}{last}"
 
 
 def _whole(

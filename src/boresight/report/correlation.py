@@ -129,7 +129,7 @@ def errors_figure(
     digits, after = (1, " m") if unit == "m" else (3, "°")
 
     def say(value: float) -> str:
-        return f"{value:.{digits}f}{after}".replace("-", "−")
+        return f"{round(value, digits) + 0.0:.{digits}f}{after}".replace("-", "−")
 
     caption = text + (
         f"Difference raw: mean {say(difference.mean())}, peak to peak {say(np.ptp(difference))}; "
