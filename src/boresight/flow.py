@@ -353,6 +353,14 @@ def _against_main(measured: Plots, settings: Settings, way: _Way, warnings: list
 
     sensors = settings.sensors
     main = _main_of(measured, settings, warnings)
+    for sensor in sensors:
+        if sensor.lat_deg is None and (measured.sensor == sensor.key).any():
+            raise SettingsError(
+                f"the sensor {sensor.name!r} has no position, and without a reference radars are compared from where they stand: "
+                "one that sails cannot be",
+                where="sensors.toml",
+                remedy="Give --reference; or lat_deg, lon_deg and height_m (ellipsoidal), where its antenna stands still.",
+            )
     warnings += site_warnings(measured, sensors, positions=False)
     progress("associating the radars' plots")
     a = way.association

@@ -224,6 +224,18 @@ def test_the_main_radar_can_be_named_and_methods_have_options(scene: Path) -> No
     assert abs(terms["azimuth_bias"]["value"] - 0.3) < 0.05
 
 
+def test_without_a_reference_a_radar_that_sails_is_refused_with_the_reason(scene: Path, tmp_path: Path) -> None:
+    entries = (scene / "sensors.toml").read_text().split("[[sensor]]")
+    (own,) = [k for k, entry in enumerate(entries) if 'name = "S"' in entry]
+    kept = [line for line in entries[own].splitlines() if not line.startswith(("lat_deg", "lon_deg", "height_m"))]
+    entries[own] = "\n".join([*kept, ""])
+    (tmp_path / "sensors.toml").write_text("[[sensor]]".join(entries))
+    radars = scene / "R.ast", scene / "S.ast"
+    said = mistake("calibrate", *radars, "--sensors", tmp_path / "sensors.toml", "--date", "2026-03-01")
+    assert "'S' has no position" in said
+    assert "one that sails cannot be" in said
+
+
 def test_relative_values_are_not_taken_for_absolute_ones(scene: Path, online: Path, relative: Path, tmp_path: Path) -> None:
     (tmp_path / "r.toml").write_text(
         'name = "Spec"\nsource = "here"\nedition = "1"\n[[figure]]\nclause = "1"\nquantity = "range_bias"\nmax = 100.0\n'

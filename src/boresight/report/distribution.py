@@ -159,6 +159,7 @@ def _likeness(axes: Axes, f: Distribution) -> None:
     if lag_s[-1] > 20 * max(lag_s[0], 1e-9):
         axes.set_xscale("symlog", linthresh=float(lag_s[0]) * 4)
         axes.set_xlim(0, lag_s[-1])
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
 
 
 def _unit(d: Described) -> str:
