@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic import DEG, Errors, scene
+from synthetic import DEG, RADARS, Errors, scene
 
+from boresight import associate, locate
 from boresight.errors import NothingToDo, SettingsError
-from boresight.measure import polar_motion
+from boresight.measure import polar_motion, site_of
+from boresight.model import Sensors
+from boresight.registration.observe import observe
 from boresight.registration.per_channel import (
     ORDERS,
     PerChannel,
@@ -19,7 +24,8 @@ from boresight.registration.per_channel import (
     register_per_channel,
     solve_safely,
 )
-from boresight.terms import Geometry
+from boresight.simulation import Adsb, Radar, Scenario, Traffic, simulate
+from boresight.terms import TERMS, Geometry
 
 
 def place(enu: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> Geometry:
@@ -284,3 +290,88 @@ def test_values_beyond_what_is_plausible_are_said() -> None:
     made = scene(3, {"A": {"tilt_north": 8 * DEG}}, elevation=True, errors=Errors(), targets=8)
     found = register_per_channel(made.pairs, made.sensors, model="first-order")
     assert any("tilt_north of +" in note and "parallax" in note for note in found.sensors[0].notes)
+
+
+@pytest.mark.parametrize("order", ["first-order", "second-order"])
+@pytest.mark.parametrize("up", [-11.0, 40.0, 300.0])
+def test_targets_at_one_height_tell_where_the_antenna_stands_not_how_it_leans(order: str, up: float) -> None:
+    """The columns are then the same: those of the place stay, whatever noise and the order of rows are, and are found."""
+    angle = 2 * np.pi * np.arange(900) / 900
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        radius = rng.uniform(800, 1500, 2)
+        enu = np.stack([radius[0] * np.sin(angle), radius[1] * np.cos(angle) + 300, np.full(900, up)], axis=1)[
+            rng.permutation(900)
+        ]
+        g = place(enu, rng.normal(size=(900, 3)) * [6, 6, 0], rng.normal(size=(900, 3)) * [0.5, 0.5, 0])
+        y = -10.0 * TERMS["site_east"].columns(g) + rng.normal(size=(900, 3)) * [10, 0.002, np.nan]
+        fit = PerChannel(model=order, parallax=True).fit(g, y).channels[1]
+        found = {
+            c.term: (c.sign * v, sd) for c, v, sd in zip(fit.columns, fit.value, np.sqrt(np.diag(fit.covariance)), strict=True)
+        }
+        assert {"site_east", "site_north"} <= set(found)
+        assert not {"tilt_north", "tilt_east"} & set(found)
+        assert all("most of site" in why for name, why in fit.dropped if name.removeprefix("-").startswith("θ"))
+        assert abs(found["site_east"][0] - 10.0) < 4 * found["site_east"][1] < 16.0
+
+
+def test_a_calibration_says_that_the_place_was_taken_for_the_tilt() -> None:
+    """Targets on the antenna's own level 600 m up: the note names the columns, and what is not determined the tilts."""
+    site, rotation = site_of(RADARS.find(257))
+
+    def level(rng: np.random.Generator) -> tuple[Callable[[np.ndarray], np.ndarray], float, float, float]:
+        away, phase, rate = rng.uniform(4e3, 15e3), rng.uniform(0, 6.28), rng.uniform(-0.004, 0.004)
+
+        def position(t: np.ndarray) -> np.ndarray:
+            angle = phase + rate * t
+            return site + np.stack([away * np.sin(angle), away * np.cos(angle), np.full(len(t), 600.0)], axis=1) @ rotation
+
+        return position, 0.0, 900.0, 40.0
+
+    made = scene(3, {"A": {"site_east": 60.0}}, sensors=Sensors((RADARS.find(257),)), targets=12, track=level, errors=Errors())
+    found = register_per_channel(made.pairs, made.sensors, model="first-order", settings=PerChannel(parallax=True))
+    terms = [key.name for key in found.terms]
+    assert {"site_east", "site_north"} <= set(terms)
+    assert {"tilt_north", "tilt_east"} <= {missing.term for missing in found.not_determined}
+    assert sum("where the antenna stands" in note for note in found.sensors[0].notes) == 2
+    k = terms.index("site_east")
+    assert abs(found.value[0, k] - 60.0) < 4 * found.sd[0, k]
+
+
+def test_a_calibration_offers_named_columns_only() -> None:
+    """There is no option for it, in a method's settings or a result's: α is named as not determined, and takes no part."""
+    assert "named_only" not in PerChannel.__struct_fields__
+    made = scene(3, {}, elevation=True, errors=Errors(), targets=8)
+    found = register_per_channel(made.pairs, made.sensors, model="second-order")
+    assert set(found.settings) == {"method", *PerChannel.__struct_fields__}
+    assert any(missing.term == "α sec E" for missing in found.not_determined)
+    seen = observe(made.pairs, np.flatnonzero(made.pairs.plots.sensor == 257), RADARS.find(257), 0.0)
+    fits = [PerChannel()(seen, named=named).channels[0] for named in (False, True)]
+    assert [fit.offered for fit in fits if fit is not None] == [3, 2]
+
+
+@pytest.mark.slow
+def test_sds_are_honest_term_by_term() -> None:
+    """24 scenes of the page's kind, with latencies and delays of each target: sd and covariance say what the errors are."""
+    errors = {"range_bias": 40.0, "azimuth_bias": 0.2, "elevation_bias": 0.1, "tilt_north": 0.15, "time_offset": 0.3}
+    radar = Radar(
+        name="tracker", sac=1, sic=1, lat_deg=46.0, lon_deg=14.0, height_m=300.0, kind="mode_s", max_range_m=60e3,
+        max_elevation_deg=60.0, range_sd_m=20.0, azimuth_sd_deg=0.05, elevation_sd_deg=0.05, errors=errors,
+    )  # fmt: skip
+    traffic = Traffic(aircraft=40, lat_deg=46.0, lon_deg=14.0, radius_m=50e3, arrivals=0.0, departures=0.0)
+    scenario = Scenario(duration_s=1200.0, traffic=traffic, radar=(radar,), adsb=Adsb(share=1.0))
+    off: dict[str, list[float]] = {}
+    squared = []
+    for seed in range(101, 125):
+        run = simulate(scenario, seed=seed)
+        pairs = associate(run.plots, locate(run.fixes, run.sensors, ())[0], run.sensors)
+        found = register_per_channel(pairs, run.sensors, model="second-order")
+        truth = np.array([errors.get(key.name, 0.0) * TERMS[key.name].si_per_unit for key in found.terms])
+        error = found.value[0] - truth
+        squared.append(float(error @ np.linalg.solve(found.covariance[0], error)) / len(error))
+        for key, value in zip(found.terms, error / found.sd[0], strict=True):
+            off.setdefault(key.name, []).append(float(value))
+    assert 0.7 <= np.mean(squared) <= 1.5
+    rms = {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in off.items()}
+    assert len(rms) >= 10
+    assert max(rms.values()) <= 1.5, rms

@@ -27,6 +27,8 @@ Order = Literal["constant", "first-order", "second-order"]
 Select = Literal["none", "bic", "cross-validation", "correlation"]
 ORDERS: tuple[Order, ...] = get_args(Order)
 CHANNELS = ("range", "azimuth", "elevation")
+# Where an antenna stands, whose columns are those of a tilt where all targets are at one height: these then stay.
+_PLACE = ("site_east", "site_north")
 # Columns smaller than this are zero: tan E of a target at the antenna's own height.
 _NOTHING = 1e-12
 # Blocks that stand in for tracks where these are fewer, and folds of the cross-validation.
@@ -37,6 +39,8 @@ FEW_TARGETS = 12
 _PASSES = 20
 # A column, scaled, of which less than this is left beside the others makes the joint fit useless.
 _JOINT_TOLERANCE = 1e-5
+# What the other blocks tell of a value counts as at least so much of the whole, or one block that tells it alone would weigh all.
+_LEAST_OTHERS = 0.1
 
 
 class Column(NamedTuple):
@@ -150,13 +154,14 @@ class Solved(NamedTuple):
 
 def solve_safely(
     x: FloatArray, y: FloatArray, names: Sequence[str], weight: FloatArray | None = None, *, tolerance: float = 1e-2,
-    ridge: float = 1e-8,
+    ridge: float = 1e-8, first: Sequence[int] = (),
 ) -> Solved:  # fmt: skip
     """Least squares of `y` (n,) on the columns of `x` (n, p), the first of them constant, whatever their rank.
 
     Columns are centred and scaled; one that varies by less than `tolerance` of its size is the constant by another name, and one
     of which column-pivoted QR leaves less than `tolerance` is made of others: both are left out.  A `ridge` relative to the
-    scaled columns keeps what is left finite.  With `tolerance` 0 only what is zero to machine precision is left out.
+    scaled columns keeps what is left finite.  With `tolerance` 0 only what is zero to machine precision is left out.  The columns
+    `first` stay where they and others are made of each other.
     """
     from scipy.linalg import qr
 
@@ -179,10 +184,16 @@ def solve_safely(
     rank = 1
     if free:
         scaled = off[:, free] / spread[free] * root[:, None] / np.sqrt(total)
-        r, pivot = qr(scaled, mode="r", pivoting=True)
-        diagonal = np.zeros(len(free))
-        diagonal[: min(r.shape)] = np.abs(np.diag(r))
-        good = diagonal >= max(tolerance, 1e-11) * diagonal[0]
+        least = max(tolerance, 1e-11) * float(np.sqrt((scaled**2).sum(axis=0)).max())
+        before = [k in first for k in free]
+        left, pivot, good = scaled, np.empty(0, np.int64), np.empty(0, bool)
+        for some in (np.flatnonzero(before), np.flatnonzero(~np.array(before))):
+            basis, r, order = qr(left[:, some], mode="economic", pivoting=True)
+            diagonal = np.zeros(len(some))
+            diagonal[: min(r.shape)] = np.abs(np.diag(r))
+            pivot, good = np.r_[pivot, some[order]], np.r_[good, diagonal >= least]
+            basis = basis[:, : int((diagonal >= least).sum())]
+            left = left - basis @ (basis.T @ left)
         rank = 1 + int(good.sum())
         for j in np.flatnonzero(~good):
             k = free[pivot[j]]
@@ -262,15 +273,17 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     tolerance: float = 1e-2
     ridge: float = 1e-8
     gate_sd: float = 5.0
-    named_only: bool = False
 
     @property
     def orders(self) -> tuple[Order, Order, Order]:
         """The order of each channel's model."""
         return (self.model,) * 3 if isinstance(self.model, str) else self.model
 
-    def __call__(self, seen: Observed) -> PerChannelFit:
-        """Fit one sensor's pairs.  Raises NothingToDo without pairs, and where the rule needs two targets and there is one."""
+    def __call__(self, seen: Observed, *, named: bool = False) -> PerChannelFit:
+        """Fit one sensor's pairs; where `named`, by columns that are terms alone.
+
+        Raises NothingToDo without pairs, and where the rule needs two targets and there is one.
+        """
         check_per_channel(self)
         if not len(seen):
             raise NothingToDo("there are no pairs to fit")
@@ -278,10 +291,16 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         true = np.stack([place.range_m, place.azimuth_rad, place.elevation_rad], axis=1)
         y = true - seen.measured
         y[:, 1] = (y[:, 1] + np.pi) % (2 * np.pi) - np.pi
-        return self.fit(place, y, seen.cluster, seen.weight)
+        return self.fit(place, y, seen.cluster, seen.weight, named=named)
 
     def fit(
-        self, place: Geometry, correction: FloatArray, cluster: IntArray | None = None, weight: FloatArray | None = None
+        self,
+        place: Geometry,
+        correction: FloatArray,
+        cluster: IntArray | None = None,
+        weight: FloatArray | None = None,
+        *,
+        named: bool = False,
     ) -> PerChannelFit:
         """The same of corrections (n, 3), true - measured, at these places; a channel that is NaN throughout is not fitted."""
         n = len(correction)
@@ -299,8 +318,8 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             rows = np.flatnonzero(known)
             some = rows_of(place, rows)
             y, w = correction[rows, channel], weight[rows]
-            order, score = self._order(channel, some, y, w, cluster[rows], block[rows])
-            found, good, passes, calm = self._fit(channel, order, some, y, w, block[rows])
+            order, score = self._order(channel, some, y, w, cluster[rows], block[rows], named)
+            found, good, passes, calm = self._fit(channel, order, some, y, w, block[rows], named)
             fits.append(found)
             scores.append(score)
             inliers[rows, channel] = good
@@ -308,10 +327,10 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         return PerChannelFit((fits[0], fits[1], fits[2]), inliers, "; ".join(ended), tuple(scores))
 
     def _fit(
-        self, channel: int, order: Order, place: Geometry, y: FloatArray, weight: FloatArray, block: IntArray
+        self, channel: int, order: Order, place: Geometry, y: FloatArray, weight: FloatArray, block: IntArray, named: bool
     ) -> tuple[ChannelFit, BoolArray, int, bool]:
         columns, x = design(place, channel, order, jerk=self.jerk, parallax=self.parallax)
-        unnamed = [k for k, column in enumerate(columns) if self.named_only and not column.term]
+        unnamed = [k for k, column in enumerate(columns) if named and not column.term]
         names = [column.name for column in columns]
         offered = [k for k in range(len(columns)) if k not in unnamed]
         good = _within(y - np.median(y), 3 * self.gate_sd)
@@ -320,7 +339,7 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             passes += 1
             solved = solve_safely(
                 x[good][:, offered], y[good], [names[k] for k in offered], weight[good], tolerance=self.tolerance,
-                ridge=self.ridge,
+                ridge=self.ridge, first=[offered.index(k) for k in offered if columns[k].term in _PLACE],
             )  # fmt: skip
             kept = [offered[k] for k in solved.kept]
             residual = y - x[:, kept] @ solved.value
@@ -350,7 +369,7 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         return found, good, passes, calm
 
     def _order(
-        self, channel: int, place: Geometry, y: FloatArray, weight: FloatArray, cluster: IntArray, block: IntArray
+        self, channel: int, place: Geometry, y: FloatArray, weight: FloatArray, cluster: IntArray, block: IntArray, named: bool
     ) -> tuple[Order, dict[Order, float]]:
         """The order of a channel's model, and what the rule says of each (smaller is better)."""
         most = self.orders[channel]
@@ -358,20 +377,27 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         if self.select == "none" or len(offered) == 1:
             return most, {}
         if self.select == "bic":
-            score = self._bic(channel, offered, place, y, weight, block)
+            score = self._bic(channel, offered, place, y, weight, block, named)
         elif self.select == "cross-validation":
-            score = self._held_out(channel, offered, place, y, weight, block)
+            score = self._held_out(channel, offered, place, y, weight, block, named)
         else:
-            score = self._unlike(channel, offered, place, y, weight, cluster)
+            score = self._unlike(channel, offered, place, y, weight, cluster, named)
         # Of equal ones the simplest: a first-order range is a constant.
         best = min(score.values())
         chosen = next(o for o in offered if score[o] <= best + 1e-9 * max(abs(best), 1.0))
         return chosen, score
 
     def _bic(
-        self, channel: int, offered: Sequence[Order], place: Geometry, y: FloatArray, weight: FloatArray, block: IntArray
+        self,
+        channel: int,
+        offered: Sequence[Order],
+        place: Geometry,
+        y: FloatArray,
+        weight: FloatArray,
+        block: IntArray,
+        named: bool,
     ) -> dict[Order, float]:
-        fits = {o: self._fit(channel, o, place, y, weight, block) for o in offered}
+        fits = {o: self._fit(channel, o, place, y, weight, block, named) for o in offered}
         largest, good, _, _ = fits[offered[-1]]
         residual = {o: y - f[0].correction(place) for o, f in fits.items()}
         wider = inflation(residual[offered[-1]][good], block[good])
@@ -383,7 +409,14 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         }
 
     def _held_out(
-        self, channel: int, offered: Sequence[Order], place: Geometry, y: FloatArray, weight: FloatArray, block: IntArray
+        self,
+        channel: int,
+        offered: Sequence[Order],
+        place: Geometry,
+        y: FloatArray,
+        weight: FloatArray,
+        block: IntArray,
+        named: bool,
     ) -> dict[Order, float]:
         fold = np.unique(block, return_inverse=True)[1] % _FOLDS
         out: dict[Order, float] = {}
@@ -393,7 +426,7 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                 test, train = np.flatnonzero(fold == f), np.flatnonzero(fold != f)
                 if not len(test) or not len(train):
                     continue
-                found = self._fit(channel, o, rows_of(place, train), y[train], weight[train], block[train])[0]
+                found = self._fit(channel, o, rows_of(place, train), y[train], weight[train], block[train], named)[0]
                 off = y[test] - found.correction(rows_of(place, test))
                 lost += float(np.minimum(off**2, (max(self.gate_sd, 3.0) * max(found.noise_sd, 1e-300)) ** 2).sum())
                 count += len(test)
@@ -401,7 +434,14 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         return out
 
     def _unlike(
-        self, channel: int, offered: Sequence[Order], place: Geometry, y: FloatArray, weight: FloatArray, cluster: IntArray
+        self,
+        channel: int,
+        offered: Sequence[Order],
+        place: Geometry,
+        y: FloatArray,
+        weight: FloatArray,
+        cluster: IntArray,
+        named: bool,
     ) -> dict[Order, float]:
         keys, count = np.unique(cluster, return_counts=True)
         if len(keys) < 2:
@@ -414,7 +454,7 @@ class PerChannel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             for rows in mine:
                 some = rows_of(place, rows)
                 block = blocks_of(np.zeros(len(rows), np.int64), some.time_s)
-                series.append(self._fit(channel, o, some, y[rows], weight[rows], block)[0].correction(some)[:short])
+                series.append(self._fit(channel, o, some, y[rows], weight[rows], block, named)[0].correction(some)[:short])
             out[o] = normalised_distance(*series)
         return out
 
@@ -520,18 +560,14 @@ def register_per_channel(
         warnings=tuple(warnings),
         settings={
             "method": "per-channel",
-            **{
-                k: list(v) if isinstance(v, tuple) else v
-                for k, v in msgspec.structs.asdict(settings).items()
-                if k != "named_only"
-            },
+            **{k: list(v) if isinstance(v, tuple) else v for k, v in msgspec.structs.asdict(settings).items()},
         },
     )
 
 
 def _settings_of(model: str, settings: PerChannel | None) -> PerChannel:
     if model == "auto":
-        return msgspec.structs.replace(settings or PerChannel(select="bic"), named_only=True)
+        return settings or PerChannel(select="bic")
     names = [name.strip() for name in model.split(",")]
     bad = [name for name in names if name not in ORDERS]
     if bad or len(names) not in (1, 3):
@@ -542,7 +578,7 @@ def _settings_of(model: str, settings: PerChannel | None) -> PerChannel:
         )
     orders = [ORDERS[ORDERS.index(name)] for name in names]
     wanted: Order | tuple[Order, Order, Order] = orders[0] if len(orders) == 1 else (orders[0], orders[1], orders[2])
-    return msgspec.structs.replace(settings or PerChannel(), model=wanted, named_only=True)
+    return msgspec.structs.replace(settings or PerChannel(), model=wanted)
 
 
 class _Found(NamedTuple):
@@ -555,7 +591,7 @@ class _Found(NamedTuple):
 
 def _one(pairs: Pairs, rows: IntArray, sensor: Sensor, epoch: float, settings: PerChannel) -> _Found:
     seen = observe(pairs, rows, sensor, epoch)
-    fitted = settings(seen)
+    fitted = settings(seen, named=True)
     for f in fitted.fitted:
         count = int(fitted.inliers[:, f.channel].sum())
         if count <= len(f.columns):
@@ -584,6 +620,13 @@ def _one(pairs: Pairs, rows: IntArray, sensor: Sensor, epoch: float, settings: P
     used = fitted.inliers.sum(axis=0)
     notes.append("inliers: " + ", ".join(f"{used[f.channel]:,} of {len(seen):,} in {CHANNELS[f.channel]}" for f in fitted.fitted))
     notes.append(f"how it ended: {fitted.ended}")
+    notes += [
+        f"{CHANNELS[f.channel]}: the column of {name} is all but made of those of where the antenna stands, as where all targets "
+        "are at one height, and these are taken"
+        for f in fitted.fitted
+        for name, why in f.dropped
+        if f.parallax and name.removeprefix("-").startswith("θ") and "most of site" in why
+    ]
     notes += _apart(fitted)
     for t, v in zip(terms, value, strict=True):
         if abs(v) > 3 * t.prior_sd:
@@ -666,29 +709,46 @@ def _joint(
         value[kept[failed]] = 0.0
         del kept[failed]
     root = solve_triangular(square, np.eye(len(kept)))
-    scores = np.zeros((int(block.max()) + 1, len(kept)))
+    # What each block pushes, and how much it tells, where all of them together tell the unit matrix.
+    blocks = int(block.max()) + 1
+    push, told = np.zeros((blocks, len(kept))), np.zeros((blocks, len(kept), len(kept)))
     for part in slices(len(seen), CHUNK):
         a, b = _weighted(seen, part, mine, value[kept], fitted, sd)
-        rows = np.tile(block[part], 3)
-        np.add.at(scores, rows, a * size * b[:, None])
-    some = np.abs(scores).sum(axis=1) > 0
-    spread = scores[some] @ root
-    count = int(some.sum())
-    # The model's shape, and the scale that errors shared within tracks give it.
-    scale = (spread**2).sum() / len(kept) * count / max(count - 1, 1)
+        white, owner = (a * size) @ root, np.tile(block[part], 3)
+        np.add.at(push, owner, white * b[:, None])
+        by = np.argsort(owner, kind="stable")
+        for rows in np.split(by, np.flatnonzero(np.diff(owner[by])) + 1):
+            told[owner[rows[0]]] += white[rows].T @ white[rows]
+    some = np.trace(told, axis1=1, axis2=2) > 0
     shape = (root @ root.T) * size[:, None] * size
-    covariance = shape * max(scale, 1.0)
+    back = root * size[:, None]
+    covariance = back @ _spread(push[some], told[some]) @ back.T
     targets = len(seen.cluster_key)
     if targets < FEW_TARGETS:
         # A handful of targets does not show how targets differ: what each keeps for itself moves the values so.
-        push = np.zeros((targets, 3, len(kept)))
+        shared = np.zeros((targets, 3, len(kept)))
         for part in slices(len(seen), CHUNK):
             weight = seen.weight[part, None] * fitted.inliers[part] / sd**2
             columns = np.nan_to_num(linearise(seen, part, mine, value[kept])[2])
-            np.add.at(push, seen.cluster[part], np.where(weight[:, :, None] > 0, columns * weight[:, :, None], 0.0))
-        moved = push @ shape * own_sd(seen)[:, None]
+            np.add.at(shared, seen.cluster[part], np.where(weight[:, :, None] > 0, columns * weight[:, :, None], 0.0))
+        moved = shared @ shape * own_sd(seen)[:, None]
         covariance = covariance + np.einsum("tcp,tcq->pq", moved, moved)
     return value[kept], (covariance + covariance.T) / 2, kept, lost
+
+
+def _spread(push: FloatArray, told: FloatArray) -> FloatArray:
+    """The covariance (p, p) of whitened values, from what each block pushes (k, p) and tells (k, p, p; the unit matrix in all).
+
+    Errors that a block shares differ by term: a target's latency is all in the time.  So the blocks show the shape too: each is
+    set against the values that the others give (the jackknife, CR3), or it would hide what it has pulled them by.  A few blocks
+    show p (p + 1) / 2 covariances badly: the white noise's shape, as wide as the blocks are on average, counts as p more blocks.
+    """
+    count, p = push.shape
+    size, basis = np.linalg.eigh(told)
+    alone = np.einsum("kij,kj,klj,kl->ki", basis, 1 / np.maximum(1 - size, _LEAST_OTHERS), basis, push)
+    shown = alone.T @ alone * (count - 1) / max(count, 1)
+    part = p / (p + count)
+    return np.asarray((1 - part) * shown + part * max(float(np.trace(shown)) / p, 1.0) * np.eye(p))
 
 
 def _weighted(

@@ -149,7 +149,6 @@ _SETTINGS = {
     "parallax": "a shift of the antenna is in the models",
     "tolerance": "a column of which less than this share is left beside the others is dropped",
     "ridge": "what is added to the normal equations, so that they can be solved",
-    "named_only": "only columns that are terms of a calibration take part",
     "sd_m": "what one difference from the reference is taken to be known by",
     "prior_sd_m": "what is assumed of the entries of the matrix beforehand",
     "slot_s": "differences of so many seconds are taken as one",
