@@ -42,7 +42,7 @@ from boresight.simulation import (
     observe_radar,
     simulate,
 )
-from boresight.simulation.scenario import _equip
+from boresight.simulation.reference import equip_aircraft
 
 ERRORS = {
     "range_bias": 70.0,
@@ -89,7 +89,7 @@ def fly(found: Plan, like: Scenario, rng: np.random.Generator) -> Simulated:
         like, start=like.start.replace(hour=16), duration_s=min(duration, 80_000.0),
         traffic=msgspec.structs.replace(like.traffic, aircraft=len(lines)),
     )  # fmt: skip
-    aircraft = _equip(begin, rng)
+    aircraft = equip_aircraft(len(lines), begin.traffic, begin.adsb, rng)
     first, last, curves = [], [], []
     for leg in lines:
         start = rng.uniform(60.0, begin.duration_s - 60.0 * leg.minutes - 60.0)

@@ -339,9 +339,9 @@ def test_terms_that_differences_cannot_tell_are_refused() -> None:
 def test_radars_far_apart_are_sent_to_the_network() -> None:
     plots = recording((MAIN, FAR), targets=8)
     found = register_relative(relative_samples(plots, THREE, MAIN), THREE, MAIN)
-    assert any("as a network" in note for note in found.sensors[0].notes)
+    assert any("against a trusted reference" in note for note in found.sensors[0].notes)
     near = register_relative(relative_samples(recording(), THREE, MAIN), THREE, MAIN)
-    assert not any("as a network" in note for note in near.sensors[0].notes)
+    assert not any("against a trusted reference" in note for note in near.sensors[0].notes)
 
 
 def test_a_drifting_bias_is_followed_against_a_reference() -> None:

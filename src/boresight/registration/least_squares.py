@@ -685,7 +685,7 @@ def _settle(
     guess = mixed.Variances(np.array(kind.noise[:c]) ** 2, part_layout.guess)
     every = (0, len(which))
     state = replace(start, trust=np.ones(len(which)))
-    for number in range(10):
+    for number in range(settings.max_iterations):
         at, noise_before = state.value / prior_sd, state.variances.noise
         here = state
         pieces = in_threads(lambda blocks: _look_at(part, part_layout, terms, here, blocks), _blocks(part_layout, every))  # noqa: B023

@@ -439,7 +439,7 @@ def register_relative(
         if condition < _NETWORK:
             notes.append(
                 f"{name} and {main.name} see targets from places so different (condition number {condition:.0f}) that a constant "
-                "relative bias does not describe them: register them as a network"
+                "relative bias does not describe them: calibrate each of them against a trusted reference"
             )
         try:
             found.append(_follow(mine, key, name, f"relative to {main.name}", method, epochs, notes, terms))
