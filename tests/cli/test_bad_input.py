@@ -13,6 +13,7 @@ import math
 import re
 import signal
 import warnings
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -643,6 +644,15 @@ def test_damage_in_the_middle_is_counted_and_the_rest_is_used(twins: Path, tmp_p
     assert any("damaged place" in warning for warning in found["warnings"])
 
 
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Ctrl-C interrupts, also where the tests run in the background and the shell has told them to ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("way", ["static", "online", "relative", "simulate"])
 def test_interrupted_while_it_writes(twins: Path, tmp_path: Path, way: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object, **__: object) -> None:

@@ -417,8 +417,8 @@ def test_random_bytes_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_not_there_or_a_folder_says_so(tmp_path: Path) -> None:
-    for path in (tmp_path / "none.ast", tmp_path):
-        with pytest.raises(InputError, match="cannot be read"):
+    for path, why in ((tmp_path / "none.ast", "cannot be read"), (tmp_path, "is a folder, not a recording")):
+        with pytest.raises(InputError, match=why):
             read(path)
         with pytest.raises(InputError, match="cannot be read"):
             sha256_of(path)
