@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from filter_reference import imm as imm_reference
 from filter_reference import kalman as kalman_reference
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from boresight.errors import SettingsError
@@ -141,6 +141,8 @@ def test_range_rate_is_known_along_the_line_of_sight_only() -> None:
     axes=st.sampled_from([2, 3]),
     which=st.integers(0, 5),
 )
+@example(gaps=[0.1, 0.1, 0.0, 0.0], sd=(1.0, 2.0, 1.0), jump=1066.0, axes=3, which=5)
+@example(gaps=[0.1, 0.1, 0.0, 0.0], sd=(1.0, 2.0, 1.0), jump=1044.0, axes=2, which=5)
 def test_covariances_stay_symmetric_positive_definite(gaps, sd, jump, axes, which) -> None:
     """Equal times, gaps of hours, absurd measurements of absurd accuracy: symmetric to the bit, no negative variance anywhere."""
     time_s = np.cumsum([0.0, *gaps])

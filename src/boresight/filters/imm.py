@@ -85,6 +85,10 @@ class Kept(NamedTuple):
     change: FloatArray
 
 
+# The least probability of a model ahead of a measurement.
+_LEAST = 1e-100
+
+
 @inlined
 def mix(
     x: FloatArray,
@@ -180,10 +184,12 @@ def weigh(prior: FloatArray, score: FloatArray, probability: FloatArray, count: 
     total = 0.0
     for m in range(count):
         score[m] = np.exp(-0.5 * (score[m] - nearest)) / np.sqrt(probability[m])
-        probability[m] = prior[m] * score[m]
+        # A model that was ruled out to the last digit may be the only one that is near now.
+        probability[m] = max(prior[m], _LEAST) * score[m]
         total += probability[m]
     for m in range(count):
-        probability[m] /= total
+        # None is ruled out to nothing: its own state would go with it.
+        probability[m] = max(probability[m] / total, _LEAST)
     return float(np.log(total) - 0.5 * (nearest + components * 1.8378770664093453))
 
 
